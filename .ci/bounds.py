@@ -80,8 +80,7 @@ def _nodes() -> Iterator[tuple[Path, ast.AST]]:
 
 def _arguments(node: ast.FunctionDef) -> int:
     """All but self and cls."""
-    own = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
-    return sum(one.arg not in ("self", "cls") for one in own)
+    return sum(one.arg not in ("self", "cls") for one in node.args.posonlyargs + node.args.args + node.args.kwonlyargs)
 
 
 def counts() -> dict[str, int]:

@@ -100,8 +100,7 @@ def turn(start: Sequence[float], start_to: Sequence[float], end: Sequence[float]
     along = np.concatenate([[0.0], np.cumsum(np.cos(middle))])
     across = np.concatenate([[0.0], np.cumsum(np.sin(middle))])
     legs = float((q - p) @ t), float((q - p) @ n)
-    scale = min(legs) / float(along[-1])
-    xy = p + scale * (along[:, None] * t + across[:, None] * n)
+    xy = p + min(legs) / float(along[-1]) * (along[:, None] * t + across[:, None] * n)
     longer = float(abs(legs[0] - legs[1]))
     if longer > 0.05:
         straight = (np.arange(int(longer / 0.02)) + 1)[:, None] * (longer / int(longer / 0.02))
@@ -113,8 +112,7 @@ def turn(start: Sequence[float], start_to: Sequence[float], end: Sequence[float]
 def sideways(base: Path2d, offset: Callable[[FloatArray], FloatArray] | float) -> Path2d:
     """The path at an offset to the left of another, constant or over its arc length."""
     offsets = offset(base.s) if callable(offset) else np.full(len(base.s), offset)
-    normal = np.column_stack([-np.sin(base.heading), np.cos(base.heading)])
-    return Path2d.through(base.xy + normal * offsets[:, None])
+    return Path2d.through(base.xy + np.column_stack([-np.sin(base.heading), np.cos(base.heading)]) * offsets[:, None])
 
 
 @dataclass
@@ -307,8 +305,7 @@ def arterial() -> SceneDraft:
     """Three lanes one way (right, middle, left), two the other way, a parking strip at the right."""
     scene = SceneDraft("arterial", "train", "austin", 0.35, (1210.0, -640.0), slope(22.0, 0.012, -0.004), 310_100_000)
     base = bend(lambda s: 0.0012 * np.sin(s / 55.0), 322.0)
-    lanes = {"r": 1.75, "m": 5.25, "l": 8.75}
-    there = {name: sideways(base, offset) for name, offset in lanes.items()}
+    there = {name: sideways(base, offset) for name, offset in {"r": 1.75, "m": 5.25, "l": 8.75}.items()}
     back = {name: sideways(base, offset).reverse() for name, offset in {"a": 12.25, "b": 15.75}.items()}
     cuts = [0.0, 48.0, 110.0, 172.0, 236.0, 288.0, 320.0]
     dash, solid, centre = "DASHED_WHITE", "SOLID_WHITE", "DOUBLE_SOLID_YELLOW"
@@ -381,8 +378,7 @@ def intersection() -> SceneDraft:
     for way, lanes in arms.items():
         for lane, (far, near) in lanes.items():
             paths[f"{way}{lane}_in"] = line(far, near)
-            mirrored = [(-x, y) if way in "ew" else (x, -y) for x, y in (near, far)]
-            paths[f"{way}{lane}_out"] = line(*mirrored)
+            paths[f"{way}{lane}_out"] = line(*[(-x, y) if way in "ew" else (x, -y) for x, y in (near, far)])
     for name, path in paths.items():
         inward, lane = name.endswith("_in"), name[1]
         single, length = name[0] in "ns", float(path.s[-1])

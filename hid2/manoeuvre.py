@@ -66,8 +66,7 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
 
 def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
     """(M,) m/s of a vehicle at the steps to come: up to its desired speed on a free road."""
-    start = vehicle.start
-    free = free_speeds(start.driver, start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
+    free = free_speeds(vehicle.start.driver, vehicle.start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
     return np.maximum(free, scene.config.lane_change.min_speed_mps)
 
 
@@ -106,10 +105,8 @@ class ManoeuvreDue:
         if isinstance(path, Reason):
             self.refuse(path)
             return None
-        shift = Shift(
-            side=option.side, source_lane=vehicle.path.segment_at(vehicle.s[-1]).lane_id,
-            target_lane=option.target.lane_id, requested_step=self.now, target=target,
-        )  # fmt: skip
+        source_lane = vehicle.path.segment_at(vehicle.s[-1]).lane_id
+        shift = Shift(option.side, source_lane, option.target.lane_id, self.now, target)
         if vehicle.stage is Stage.PASS:
             return Across(path, shift, Stage.RETURN, vehicle.overtaken_id)
         return Across(path, shift, Stage.ENTER, None if leader is None else leader.track_id)
@@ -137,9 +134,8 @@ class ManoeuvreDue:
         """For an overtake that may begin: the next vehicle ahead, if it may be within d_obs."""
         if self.vehicle.policy is not Policy.OVERTAKE or self.vehicle.stage is Stage.PASS:
             return None
-        d_obs_m = self.scene.config.overtake.d_obs_m
         path, box, s = self.vehicle.path, self.vehicle.start.box, self.vehicle.s[-1]
-        return leader_on(path, box, s=s, d_obs_m=d_obs_m, here=self._vehicles())
+        return leader_on(path, box, s=s, d_obs_m=self.scene.config.overtake.d_obs_m, here=self._vehicles())
 
     def passed_gap_m(self) -> float:
         """From the rear bumper to the overtaken vehicle behind, m; -inf unless it is passed."""

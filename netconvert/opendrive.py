@@ -67,8 +67,7 @@ class _Line:
         inside[0] |= first < 0.0
         s = np.maximum(begins[inside], first)
         s[0] = first
-        lengths = np.diff(np.append(s, last))
-        return _Line(np.column_stack([s - first, *self.at(s), lengths, self.parts[inside, 5]]))
+        return _Line(np.column_stack([s - first, *self.at(s), np.diff(np.append(s, last)), self.parts[inside, 5]]))
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (K, 2) m and headings (K,) rad."""
@@ -152,8 +151,7 @@ def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
 
 def _beside(path: Polyline, s: FloatArray, lane: LaneSegment) -> FloatArray:
     """How far to the left of a path at s (K,) m a lane, drawn on beyond its ends, is: (K,) m."""
-    line = lane.path.point(np.arange(-_BEYOND_M, lane.length_m + _BEYOND_M, _EVERY_M))
-    along, aside = path.frenet(line)
+    along, aside = path.frenet(lane.path.point(np.arange(-_BEYOND_M, lane.length_m + _BEYOND_M, _EVERY_M)))
     return np.interp(s, np.maximum.accumulate(along), aside)
 
 
@@ -250,9 +248,8 @@ def _drawn(graph: LaneGraph) -> tuple[RoadGraph, list[_Road]]:
             drawn.append(road)
             for k, lane in enumerate(lanes if len(row) > 1 else ()):
                 start, end = lane.path.frenet([road.middle(k, 0), road.middle(k, -1)])[0].tolist()
-                before_m = start if lane.lane_id not in entered else 0.0
                 behind_m = lane.length_m - end if lane.lane_id not in left else 0.0
-                if max(before_m, behind_m) > _ROW_WITHIN_M:
+                if max(start if lane.lane_id not in entered else 0.0, behind_m) > _ROW_WITHIN_M:
                     apart.add(lane.lane_id)  # nothing leads to what is cut off
         if len(apart) == before:
             return roads, drawn

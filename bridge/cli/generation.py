@@ -1,26 +1,21 @@
-"""`hid2 generate`, and what is said of a batch: a message for every scene that failed, and a table at the end."""
+"""`hid2 generate`, and what is said of a batch: a message for every scene that failed."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from bridge.batch.manifest import DONE, MANIFEST_NAME
+from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow
 from bridge.cli import options
 from bridge.cli.places import check_scenes, recordings, select_scenes
-from bridge.console import Activity, fail, print_json, print_table, say, warn
+from bridge.console import LISTED_RUNS, Activity, fail, print_batch, print_json, say, warn
 from bridge.interruption import if_interrupted
 from bridge.recordings.folders import Address, Choices, Source, split_of
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
     from bridge.batch.batch import OnRow, Progress
-    from bridge.batch.manifest import ManifestRow
-    from hid2.params import Config, Request
+    from hid2.params import Config
 
-#: Most runs of a batch that are listed; more are summed up: those that failed were told one by one.
-LISTED_RUNS = 24
-#: Reasons shown in a row of the table; manifest.csv has them all.
-_REASONS = 3
 #: What --repro and --from make use of.
 _WITH_REPRO = frozenset({"--repro", "--out", "--function", "--verbose", "--quiet"})
 _WITH_FROM = _WITH_REPRO - {"--repro"} | {"--from", "--source", "--map"}
@@ -88,18 +83,13 @@ class Written(NamedTuple):
 
 
 class Running(NamedTuple):
-    """How the batch runs, and goes on."""
+    """How the batch runs and goes on, or which scene is made again in its place. given: all on the command line."""
 
     batch: options.Batch
+    given: options.Given
     scene_memory: int = options.running("Memory beyond which a scene is ended and quarantined.", 4000, "MB", min=500)
     resume: bool = options.running("Skip scenes that are complete and unchanged.", False)
     append: bool = options.running("Add to the scenes of another request that OUT holds.", False)
-
-
-class OnceMore(NamedTuple):
-    """Which scene is made or run again, in place of a batch. given: all that is on the command line."""
-
-    given: options.Given
     again: Path | None = options.running(
         "Make the scene of a hid2_<id>.json again, bit for bit; needs --source.", None, "SIDECAR", "--from"
     )
@@ -125,7 +115,6 @@ def generate(
     which: options.Which,
     choices: Choices,
     running: Running,
-    once: OnceMore,
     activity: Activity,
 ) -> bool:
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones.
@@ -140,15 +129,15 @@ def generate(
 
     Exit code 1: a scene could not be done, or something asked for came about in no scene. 2: no scene can meet it.
     """
-    out = written.out
-    if once.repro is not None:
-        once.given.check(_WITH_REPRO, "--repro, which runs the request of the bundle")
-        return _reproduce(once.repro, out, once.function, activity)
-    if once.again is not None:
-        once.given.check(_WITH_FROM, "--from, which makes the request of the sidecar again")
-        return _make_again(once.again, once, out, choices.map_path, activity)
-    if once.source is not None or once.function:
-        alone = "--function without --repro or --from" if once.source is None else "--source without --from"
+    out, jobs = written.out, running.batch.jobs
+    if running.repro is not None:
+        running.given.check(_WITH_REPRO, "--repro, which runs the request of the bundle")
+        return _reproduce(running.repro, out, running.function, activity)
+    if running.again is not None:
+        running.given.check(_WITH_FROM, "--from, which makes the request of the sidecar again")
+        return _make_again(running.again, running, out, choices.map_path, activity)
+    if running.source is not None or running.function:
+        alone = "--function without --repro or --from" if running.source is None else "--source without --from"
         raise ConfigError(f"{alone}, expected the two together {_HELP}")
     if not scenes or out is None:
         missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
@@ -161,7 +150,7 @@ def generate(
     folders = recordings(scenes, choices, activity, generated=False)
     if written.formats:
         _check_sequences(folders, resolved)
-    folders = select_scenes(folders, which, resolved.request.seed, activity, jobs=running.batch.jobs)
+    folders = select_scenes(folders, which, resolved.request.seed, activity, jobs=jobs)
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
     from bridge.batch.batch import plan, run_batch
@@ -172,10 +161,9 @@ def generate(
         check_same_request(out, jobs_wanted[0].runs[0].config)
     activity.doing("looking at the first scenes")
     named = named_behaviours(resolved.request, by_option=asked.behaviours is not None)
-    check_request(folders, resolved, named, jobs=running.batch.jobs)
-    beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record)}
-    limits = {"resume": running.resume, "memory_mb": running.scene_memory, "functions": functions_of(resolved)}
-    how = running.batch.options(**limits, **beside)
+    check_request(folders, resolved, named, jobs=jobs)
+    beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
+    how = running.batch.options(resume=running.resume, memory_mb=running.scene_memory, **beside)
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))
     rows = run_batch(jobs_wanted, out, how, on_row=notes_of(activity, out, go_on="continue with --resume"))
@@ -203,18 +191,18 @@ def _check_sequences(folders: Sequence[Address], config: "Config") -> None:
         raise ConfigError("--format argoverse1 with driving.replay = 'reactive': no scene of Argoverse, expected one")
 
 
-def _make_again(sidecar: Path, once: OnceMore, out: Path | None, map_path: Path | None, activity: Activity) -> bool:
+def _make_again(sidecar: Path, running: Running, out: Path | None, map_path: Path | None, activity: Activity) -> bool:
     """Make the scene of a sidecar again, and compare it with what lies beside the sidecar."""
     if not (sidecar.is_file() and sidecar.match("hid2_*.json")):
         wrong = "is no sidecar" if sidecar.exists() else "no such file"
         raise ConfigError(f"--from {sidecar}: {wrong}, expected that of a generated scene, hid2_<id>.json")
-    if out is None or once.source is None:
+    if out is None or running.source is None:
         raise ConfigError(f"--from SIDECAR takes --source ROOT and -o OUT {_HELP}")
-    check_scenes([once.source])
+    check_scenes([running.source])
     activity.doing("making the scene again")
     from bridge.batch.provenance import make_again
 
-    made = make_again(sidecar, once.source, out, map_path=map_path, functions=once.function)
+    made = make_again(sidecar, running.source, out, map_path=map_path, functions=running.function)
     for line in made.differences:
         warn(line)
     activity.result(made.folder)
@@ -247,7 +235,7 @@ def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], ac
 def notes_of(activity: Activity, out: Path, *, go_on: str) -> "OnRow":
     """Tells an activity what becomes of a batch's runs; when it is verbose, of those that succeed too."""
 
-    def note(row: "ManifestRow", progress: "Progress") -> None:
+    def note(row: ManifestRow, progress: "Progress") -> None:
         if_interrupted(f"finished scenes are in {out / MANIFEST_NAME}; {go_on}")
         if row.status != DONE:
             say(
@@ -260,52 +248,3 @@ def notes_of(activity: Activity, out: Path, *, go_on: str) -> "OnRow":
         activity.show(progress.done + progress.quarantined, progress.total - progress.skipped, details)
 
     return note
-
-
-def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
-    """Print what happened, run by run when there are few, and the sums."""
-    if len(rows) <= LISTED_RUNS:
-        with_events = any(row.events_requested for row in rows)
-        head = ("scene", "variant", "placed", "left turns", "right turns", "lane changes", "overtakes", "manoeuvres")
-        listed = (*head, *(("events",) if with_events else ()), "run time, s", "remarks")
-        print_table("Generated scenes", listed, [_line(row, request, with_events=with_events) for row in rows])
-    done = [row for row in rows if row.status == DONE]
-    asked = "" if any(row.asked == "max" for row in done) else f" of {sum(int(row.asked) for row in done)}"
-    target = f"{request.near} at the last observed step" if request.is_near_agents else "traffic"
-    print(
-        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
-        f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
-        f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
-    )
-    if events := sum(row.events_requested for row in done):
-        print(f"events done: {sum(row.events_done for row in done)} of {events}")
-    if request.entering:
-        print(f"entered: {sum(row.entered for row in done)} of {sum(row.straight for row in done)} that go straight")
-    if request.focal == "generated":
-        does = sum(row.focal not in ("", "straight") for row in done)
-        print(f"focal tracks that do a manoeuvre: {does} of {len(done)}")
-
-
-def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple[object, ...]:
-    if row.status != DONE:
-        blank = ("-",) * (7 if with_events else 6)
-        return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
-    said = {"events": row.events, "not done": row.not_done}
-    placed, met = f"{row.placed} of {row.asked}", row.placed
-    if request.is_near_agents:
-        placed, met = f"{placed}, {row.near} near", row.near
-    placed += f", {row.entered} entered" if request.entering else ""
-    if row.asked == "max" or met < int(row.asked) or row.entered < round(request.entering * row.straight):
-        said["candidates rejected"] = row.rejected
-    remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
-    by_kind = row.left_turn, row.right_turn, row.lane_change, row.overtake
-    done = [f"{row.maneuvers_done} of {row.maneuvers_requested}"]
-    done += [f"{row.events_done} of {row.events_requested}"] if with_events else []
-    return (row.scenario, row.variant, placed, *by_kind, *done, round(row.seconds, 2), remarks or "-")
-
-
-def _first(reasons: str) -> str:
-    """The most frequent reasons, and how many kinds more there are."""
-    each = reasons.split("; ")
-    more = f", {len(each) - _REASONS} more in manifest.csv" if len(each) > _REASONS else ""
-    return ", ".join(each[:_REASONS]) + more

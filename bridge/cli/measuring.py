@@ -214,7 +214,6 @@ class Plan(NamedTuple):
     seeds: int | None = options.option(
         "Seeds per scene, or of the training.", None, "N", min=1, show_default="10; prediction: 3"
     )
-    agents: int = options.option("Vehicles added, except in density.", 10, "N", min=0)
     variants: int | None = options.prediction("Scenes made of each recorded one.", None, "K", min=1, show_default="8")
     val: float | None = options.prediction(
         "Share of the scenes for validation.", None, "SHARE", min=0.01, max=0.9, show_default="0.3"
@@ -244,27 +243,28 @@ def paper(
     ),
     choices: Choices,
     plan: Plan,
+    agents: int = options.option("Vehicles added, except in density.", 10, "N", min=0),
     jobs: int = options.JOBS,
     activity: Activity,
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
     _check_fits(experiment, plan.given)
-    composed, predictions, agents = plan.composed, plan.predictions, plan.agents
-    check_scenes([composed] if composed else [] if predictions else scenes)
+    check_scenes([plan.composed] if plan.composed else [] if plan.predictions else scenes)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction
         from hid2.params import Forecasting
 
         asked = {"variants": plan.variants, "val_share": plan.val, "updates": plan.updates}
         params = Forecasting.model_validate({name: value for name, value in asked.items() if value is not None})
-        training, step = TrainingPlan(plan.seeds or 3, agents, plan.focal, params), activity.step
-        page = run_prediction(scenes, out, training, composed, predictions, jobs=jobs, on_step=step)
+        training, brought = TrainingPlan(plan.seeds or 3, agents, plan.focal, params), (plan.composed, plan.predictions)
+        page = run_prediction(scenes, out, training, *brought, jobs=jobs, on_step=activity.step)
     else:
         from bridge.evaluation.paper import run_experiment
 
         activity.doing("generating and measuring")
-        seeds, show = plan.seeds or 10, activity.show
-        page = run_experiment(experiment, scenes, out, choices, seeds=seeds, agents=agents, jobs=jobs, on_scene=show)
+        page = run_experiment(
+            experiment, scenes, out, choices, seeds=plan.seeds or 10, agents=agents, jobs=jobs, on_scene=activity.show
+        )
     activity.end()
     print(page)
 

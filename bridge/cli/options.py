@@ -127,8 +127,7 @@ class _Handler(logging.Handler):
 
 def _set_up(*, verbose: int = 0, quiet: bool = False) -> None:
     """Logging as asked for; no figure opens a window, and names of any bytes can be printed."""
-    wanted = logging.ERROR if quiet else logging.WARNING
-    level = (wanted, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    level = (logging.ERROR if quiet else logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
     logging.basicConfig(level=logging.WARNING, handlers=[_Handler()])
     for package in ("bridge", "hid2", "netconvert"):
         logging.getLogger(package).setLevel(level)

@@ -134,8 +134,7 @@ class Fleet:
         vehicle.jumped_m.append(jumped_m)
         spans = vehicle.path.lateral_spans
         # executing goes before pending (conflict case 2): in a change of lanes or in a turn
-        lane = bisect_right(context.lane_ends, s, hi=context.lane_ends.size - 1)
-        turns = context.policies[lane] != STRAIGHT
+        turns = context.policies[bisect_right(context.lane_ends, s, hi=context.lane_ends.size - 1)] != STRAIGHT
         executing = (spans and spans[-1].begin < s < spans[-1].end) or turns
         self.along_m[row], self.centre[row] = s, _xy(vehicle)
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0

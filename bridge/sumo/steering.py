@@ -50,11 +50,10 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
     The road's, the guard's (predicted conflicts), and those of stop lines. rows: all that are `here`, or the last of
     these, where one before them has taken another way.
     """
-    guard = fleet.guard
     first, inputs = fleet.limit_inputs(now)
     return SpeedLimits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding,
-        guard.horizon, fleet.scene.step_s, guard.brakes, first[-rows.size - 1 :], *inputs,
+        fleet.guard.horizon, fleet.scene.step_s, fleet.guard.brakes, first[-rows.size - 1 :], *inputs,
     ))  # fmt: skip
 
 

@@ -142,8 +142,7 @@ def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Ch
     smooth = lateral_speed(toward, time)
     first, started = _edge(smooth, known, at, -1, time)
     last, ended = _edge(smooth, known, at + 1, +1, time)
-    width = float(lanes.half_width[source] + lanes.half_width[target])
-    if toward[last] - toward[first] < width / 2:
+    if toward[last] - toward[first] < float(lanes.half_width[source] + lanes.half_width[target]) / 2:
         return None
     maneuver = Maneuver(
         track_id=arrays.track_ids[agent],
@@ -178,8 +177,7 @@ def _lateral(
     rows = np.arange(len(position))
     width = np.interp(rows, rows[both], apart[both]) if both.any() else np.full(len(rows), side * whole_m)
     from_source = width * (source_half_m / whole_m if whole_m > 0.0 else 0.5)
-    lateral = np.where(by_source, d_source - from_source, d_target + width - from_source)
-    return side, lateral, by_source | by_target
+    return side, np.where(by_source, d_source - from_source, d_target + width - from_source), by_source | by_target
 
 
 def _crossing(toward: FloatArray, known: BoolArray, time: FloatArray, switch: int) -> tuple[int, float] | None:
