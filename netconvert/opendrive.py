@@ -248,8 +248,9 @@ def _drawn(graph: LaneGraph) -> tuple[RoadGraph, list[_Road]]:
             drawn.append(road)
             for k, lane in enumerate(lanes if len(row) > 1 else ()):
                 start, end = lane.path.frenet([road.middle(k, 0), road.middle(k, -1)])[0].tolist()
+                before_m = start if lane.lane_id not in entered else 0.0
                 behind_m = lane.length_m - end if lane.lane_id not in left else 0.0
-                if max(start if lane.lane_id not in entered else 0.0, behind_m) > _ROW_WITHIN_M:
+                if max(before_m, behind_m) > _ROW_WITHIN_M:
                     apart.add(lane.lane_id)  # nothing leads to what is cut off
         if len(apart) == before:
             return roads, drawn

@@ -75,9 +75,10 @@ def view_scenes(
             if on_scene is not None:
                 on_scene(number, len(addresses))
 
+    page = page_of(documents())
     if len(unread) == len(addresses):
         raise ScenarioError(unread[0][1])
-    write_text(out_file, page_of(documents()))
+    write_text(out_file, page)
     return out_file, unread
 
 

@@ -208,8 +208,9 @@ def check_step(scenario: Recording, step: int | None) -> int:
 
 def data_uri(figure: Figure) -> str:
     """A figure as a PNG inside a data: address; the figure is closed."""
+    content = _png(figure)
     plt.close(figure)
-    return "data:image/png;base64," + base64.b64encode(_png(figure)).decode()
+    return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
 def _png(figure: Figure) -> bytes:

@@ -266,8 +266,9 @@ class _Drawing:
         width = 7.0 if len(panels) > 1 else 9.0
         height = float(np.clip(width / aspect, 4.0, 9.0))
         self.figure = figures.ShownFigure(figsize=(width * len(panels), height + 1.3), layout="constrained")
+        axes = self.figure.subplots(1, len(panels), squeeze=False)
         self.canvas: Any = FigureCanvasAgg(self.figure)
-        self.panels = list(zip(panels, self.figure.subplots(1, len(panels), squeeze=False)[0], strict=True))
+        self.panels = list(zip(panels, axes[0], strict=True))
         for panel, ax in self.panels:
             figures.draw_map(ax, panel.scenario.graph, cells=cells)
             figures.frame(ax, low, high, aspect=aspect)

@@ -93,8 +93,9 @@ def read(source: Source) -> Recording:
     sizes = {str(track): BoxSize(*row) for track, row in zip(medians.index, medians.to_numpy().tolist(), strict=True)}
     rows = split_rows(table, name=str(source), sizes=sizes, observed_steps=OBSERVED_STEPS)
     document = _completed(read_document(map_path), name=str(map_path))
+    graph = graph_of(document, name=str(map_path))
     source, written = replace(source, map_path=map_path), json.dumps(document).encode()
-    return recording_of(source, rows, graph_of(document, name=str(map_path)), provenance="human", map_json=written)
+    return recording_of(source, rows, graph, provenance="human", map_json=written)
 
 
 def last_start(log: Path) -> int:

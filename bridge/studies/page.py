@@ -65,8 +65,12 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
             critical += [{"parameter": key, "value": value, **one} for one in found if one]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=max(give_up_s))
-    named = {**tables, "gaps": gaps, "critical_gaps": pd.DataFrame(critical)}
-    named["dose_response"] = pd.concat(doses) if doses else pd.DataFrame()
+    named = {
+        **tables,
+        "gaps": gaps,
+        "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
+        "critical_gaps": pd.DataFrame(critical),
+    }
     said_of = {name: ", ".join(columns).split(", ") for name, columns in DICTIONARY.items()}
     named |= {name: pd.DataFrame(columns=columns) for name, columns in said_of.items() if named[name].empty}
     written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY]
@@ -182,14 +186,17 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
     accepted, exported = counted["accepted"].astype(bool), counted["exported"].dropna()
     gives_up_s = counted["point"].map(dict(enumerate(give_up_of(study))))
     cut_off = ~accepted & (counted["waited_s"] < gives_up_s - 0.05)
-    shares = {"all": len(requests), "counted": len(counted), "never": int((~due).sum())}
-    shares["other"] = int((~requests["counted"] & due).sum())
     return text(
         "study.md.j2",
         study=study,
         config=config,
         runs={"all": len(runs), "failed": int((runs["status"] != DONE).sum())},
-        requests=shares,
+        requests={
+            "all": len(requests),
+            "counted": len(counted),
+            "never": int((~due).sum()),
+            "other": int((~requests["counted"] & due).sum()),
+        },
         scenes=counted["scene"].nunique(),
         flows=config.flow.veh_per_h_lane > 0.0,
         replays=set(requests["replay"]),

@@ -187,8 +187,9 @@ def few_clusters_p(effects: FloatArray) -> float | None:
         return None
     if (np.abs(known) <= _SAME).all():
         return 1.0
-    rng = np.random.default_rng(0)
-    found = permutation_test((known,), np.mean, permutation_type="samples", vectorized=True, n_resamples=9999, rng=rng)
+    found = permutation_test(
+        (known,), np.mean, permutation_type="samples", vectorized=True, n_resamples=9999, rng=np.random.default_rng(0)
+    )
     return float(found.pvalue)
 
 

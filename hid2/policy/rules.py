@@ -166,10 +166,9 @@ def name_of_rule(rule: Callable[..., object]) -> str:
 def check_user_rule(params: LaneChange) -> str:
     """As `try_rule`; returns the file of the function's module. Errors: ConfigError, also where there is none."""
     try_rule(params)
-    name = params.rule
-    file = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
+    file = getattr(sys.modules[params.rule.partition(":")[0]], "__file__", None)
     if file is None:
-        raise ConfigError(f"lane_change.rule = {name!r}: its module has no file, expected one of your own")
+        raise ConfigError(f"lane_change.rule = {params.rule!r}: its module has no file, expected one of your own")
     return str(file)
 
 
