@@ -26,23 +26,23 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (38_770, 28_500),
-    "statements": (24_550, 15_000),
-    "lines of hid2": (16_050, 8_500),
+    "lines": (38_664, 28_500),
+    "statements": (24_524, 15_000),
+    "lines of hid2": (15_977, 8_500),
     "lines of hid2/insertion": (4_590, 2_200),
     "lines of hid2/kernels": (2_350, 1_900),
-    "lines of netconvert": (2_150, 1_500),
-    "lines of bridge/cli": (1_670, 1_000),
-    "lines of bridge/recordings": (3_200, 2_500),
-    "lines of bridge/sumo": (1_940, 1_700),
-    "lines of bridge/batch": (2_050, 1_500),
-    "lines of bridge/pictures": (790, 850),
-    "lines of bridge/studies, evaluation, forecasting, pages": (7_230, 4_600),
-    "lines of tests": (31_660, 19_000),
+    "lines of netconvert": (2_141, 1_500),
+    "lines of bridge/cli": (1_647, 1_000),
+    "lines of bridge/recordings": (3_196, 2_500),
+    "lines of bridge/sumo": (1_906, 1_700),
+    "lines of bridge/batch": (2_037, 1_500),
+    "lines of bridge/pictures": (788, 850),
+    "lines of bridge/studies, evaluation, forecasting, pages": (7_178, 4_600),
+    "lines of tests": (31_651, 19_000),
     "parameters": (109, 110),
-    "fmt: skip and fmt: off": (246, 40),
-    "functions above 80 lines": (2, 0),
-    "functions with more than 8 arguments, outside of kernels": (7, 0),
+    "fmt: skip and fmt: off": (201, 40),
+    "functions above 80 lines": (0, 0),
+    "functions with more than 8 arguments, outside of kernels": (0, 0),
     "class names that are used twice": (0, 0),
     "persons: who, whom, whose, somebody, nobody, anybody": (40, 40),
     "words of README.md": (900, 900),
@@ -80,8 +80,7 @@ def _nodes() -> Iterator[tuple[Path, ast.AST]]:
 
 def _arguments(node: ast.FunctionDef) -> int:
     """All but self and cls."""
-    own = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
-    return sum(one.arg not in ("self", "cls") for one in own)
+    return sum(one.arg not in ("self", "cls") for one in node.args.posonlyargs + node.args.args + node.args.kwonlyargs)
 
 
 def counts() -> dict[str, int]:

@@ -29,8 +29,7 @@ def outcome(scenes: list[Any], values: dict[str, Any]) -> str:
     digest = hashlib.sha256()
     for scene in scenes:
         made = generate(scene, config_from_dict(values))
-        told = made.sidecar.model_dump_json(exclude={"config", "config_sha256", "generator"})
-        digest.update(told.encode())
+        digest.update(made.sidecar.model_dump_json(exclude={"config", "config_sha256", "generator"}).encode())
         for track in made.recording.tracks:
             digest.update(track.position.tobytes() + track.heading.tobytes())
     return digest.hexdigest()[:16]

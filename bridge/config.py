@@ -211,8 +211,7 @@ def word_for_recorded(scenario_id: str) -> str:
 
 def functions_of(config: Config) -> dict[str, str]:
     """What of a user's own a configuration names, each "module:name" with its key: a lane-change rule, behaviours."""
-    rule = config.lane_change.rule
-    found = {rule: "lane_change.rule"} if ":" in rule else {}
+    found = {config.lane_change.rule: "lane_change.rule"} if ":" in config.lane_change.rule else {}
     return found | dict.fromkeys(config.request.own_behaviours, "request.own")
 
 

@@ -83,8 +83,7 @@ def _profile(
     if has_gaps or count < _WINDOW or alpha.min() > _FROM or alpha.max() < _TO:
         return None
     velocity = savgol_filter(arrays.position[rows], _WINDOW, _DEGREE, deriv=1, delta=arrays.step_s, axis=0)
-    speed = np.hypot(velocity[:, 0], velocity[:, 1])
-    here = speed[first - rows.start : last + 1 - rows.start]
+    here = np.hypot(velocity[:, 0], velocity[:, 1])[first - rows.start : last + 1 - rows.start]
     angle = np.unwrap(arrays.heading[first : last + 1])
     jumps = np.abs(np.diff(here)).max() > _ACCEL_MPS2 * arrays.step_s
     if jumps or here.min() < _STANDS_MPS or sign * (angle[-1] - angle[0]) < 0.8 * TURN_RAD:

@@ -100,8 +100,7 @@ def turn(start: Sequence[float], start_to: Sequence[float], end: Sequence[float]
     along = np.concatenate([[0.0], np.cumsum(np.cos(middle))])
     across = np.concatenate([[0.0], np.cumsum(np.sin(middle))])
     legs = float((q - p) @ t), float((q - p) @ n)
-    scale = min(legs) / float(along[-1])
-    xy = p + scale * (along[:, None] * t + across[:, None] * n)
+    xy = p + min(legs) / float(along[-1]) * (along[:, None] * t + across[:, None] * n)
     longer = float(abs(legs[0] - legs[1]))
     if longer > 0.05:
         straight = (np.arange(int(longer / 0.02)) + 1)[:, None] * (longer / int(longer / 0.02))
@@ -113,8 +112,7 @@ def turn(start: Sequence[float], start_to: Sequence[float], end: Sequence[float]
 def sideways(base: Path2d, offset: Callable[[FloatArray], FloatArray] | float) -> Path2d:
     """The path at an offset to the left of another, constant or over its arc length."""
     offsets = offset(base.s) if callable(offset) else np.full(len(base.s), offset)
-    normal = np.column_stack([-np.sin(base.heading), np.cos(base.heading)])
-    return Path2d.through(base.xy + normal * offsets[:, None])
+    return Path2d.through(base.xy + np.column_stack([-np.sin(base.heading), np.cos(base.heading)]) * offsets[:, None])
 
 
 @dataclass
@@ -183,27 +181,21 @@ class SceneDraft:
         category: int = 1,
         sway: int = 0,
         steps: tuple[int, int] = (0, STEPS),
-        offset_m: float = 0.0,
-        shift: tuple[float, float, float] | None = None,
+        left_m: float | Sequence[tuple[float, float]] = 0.0,
     ) -> None:
         """An agent along a path from start_m (m) at time 0.
 
-        speeds: m/s, or (time s, speed) knots; sway: phase of a small variation of speed, 0 for none; shift: (start s,
-        end s, metres to the left) of a lane change.
+        speeds: m/s, and left_m: of the path, each a number or (time s, value) knots; sway: phase of a small variation
+        of both, 0 for none.
         """
         time = np.arange(round(STEPS * STEP_S / FINE_S) + 11) * FINE_S - 10 * FINE_S  # from one step before
-        knots = [(0.0, speeds), (1.0, speeds)] if isinstance(speeds, float | int) else list(speeds)
-        speed = np.full(len(time), float(knots[0][1]))
-        for (t0, v0), (t1, v1) in pairwise(knots):
-            speed = speed + (v1 - v0) * smoothstep((time - t0) / (t1 - t0))
+        speed, offset = _at_times(speeds, time), _at_times(left_m, time)
         if sway:
             speed = speed * (1.0 + 0.03 * _swing(0.55 * time + 0.9 * (sway % 7)))
         s = np.concatenate([[0.0], np.cumsum((speed[:-1] + speed[1:]) / 2 * FINE_S)])
-        s, offset = s - s[10] + start_m, np.full(len(time), offset_m)
+        s = s - s[10] + start_m
         if sway:
             offset = offset + 0.08 * _swing(0.04 * s + (sway % 6)) * (speed / (speed + 2.0))
-        if shift is not None:
-            offset = offset + shift[2] * smoothstep((time - shift[0]) / (shift[1] - shift[0]))
         if s.min() < 0 or s[10 + 10 * (steps[1] - 1)] > path.s[-1]:
             raise ValueError(f"{self.name}: agent {len(self.agents)} leaves its path ({s.min():.1f} to {s.max():.1f})")
         xy, heading = path.at(s, offset_m=offset)
@@ -232,6 +224,15 @@ class SceneDraft:
     def city_xy(self, xy: FloatArray) -> FloatArray:
         """Local points in the city frame."""
         return self.turned(xy) + np.asarray(self.origin)
+
+
+def _at_times(knots: float | Sequence[tuple[float, float]], time: FloatArray) -> FloatArray:
+    """A value at times, s: a constant, or from knot (time s, value) to knot."""
+    each = [(0.0, knots)] if isinstance(knots, float | int) else list(knots)
+    found = np.full(len(time), float(each[0][1]))
+    for (t0, v0), (t1, v1) in pairwise(each):
+        found = found + (v1 - v0) * smoothstep((time - t0) / (t1 - t0))
+    return found
 
 
 def _swing(angle: FloatArray) -> FloatArray:
@@ -304,8 +305,7 @@ def arterial() -> SceneDraft:
     """Three lanes one way (right, middle, left), two the other way, a parking strip at the right."""
     scene = SceneDraft("arterial", "train", "austin", 0.35, (1210.0, -640.0), slope(22.0, 0.012, -0.004), 310_100_000)
     base = bend(lambda s: 0.0012 * np.sin(s / 55.0), 322.0)
-    lanes = {"r": 1.75, "m": 5.25, "l": 8.75}
-    there = {name: sideways(base, offset) for name, offset in lanes.items()}
+    there = {name: sideways(base, offset) for name, offset in {"r": 1.75, "m": 5.25, "l": 8.75}.items()}
     back = {name: sideways(base, offset).reverse() for name, offset in {"a": 12.25, "b": 15.75}.items()}
     cuts = [0.0, 48.0, 110.0, 172.0, 236.0, 288.0, 320.0]
     dash, solid, centre = "DASHED_WHITE", "SOLID_WHITE", "DOUBLE_SOLID_YELLOW"
@@ -327,11 +327,11 @@ def arterial() -> SceneDraft:
     drive(r, 8.0, [(0.0, 11.5), (6.0, 11.5), (10.5, 7.0)], sway=5)  # slows behind the slow leader
     drive(left, 236.0, 13.5, category=0, sway=6, steps=(0, 62))  # leaves the scene
     drive(r, 218.0, 8.0, object_type="bus", sway=1)
-    drive(r, 152.0, 4.2, object_type="cyclist", category=2, sway=2, offset_m=-1.1)
+    drive(r, 152.0, 4.2, object_type="cyclist", category=2, sway=2, left_m=-1.1)
     late(scene, left, 2.0, 14.0, appears=62)  # a track that appears late
     drive(back["a"], 30.0, 12.0, sway=3)
     drive(back["a"], 190.0, 11.5, sway=5, category=0, steps=(0, 104))
-    drive(back["b"], 84.0, 9.5, sway=6, shift=(2.5, 7.5, LANE_M))  # changes lanes
+    drive(back["b"], 84.0, 9.5, sway=6, left_m=[(2.5, 0.0), (7.5, LANE_M)])  # changes lanes
     drive(back["b"], 20.0, 8.5, sway=2)
     drive(back["b"], 208.0, 9.0, sway=4)
     for i in range(7):  # the parked row
@@ -378,8 +378,7 @@ def intersection() -> SceneDraft:
     for way, lanes in arms.items():
         for lane, (far, near) in lanes.items():
             paths[f"{way}{lane}_in"] = line(far, near)
-            mirrored = [(-x, y) if way in "ew" else (x, -y) for x, y in (near, far)]
-            paths[f"{way}{lane}_out"] = line(*mirrored)
+            paths[f"{way}{lane}_out"] = line(*[(-x, y) if way in "ew" else (x, -y) for x, y in (near, far)])
     for name, path in paths.items():
         inward, lane = name.endswith("_in"), name[1]
         single, length = name[0] in "ns", float(path.s[-1])
@@ -422,7 +421,7 @@ def intersection() -> SceneDraft:
     right_turn = [(0.0, 9.0), (2.0, 9.0), (6.0, 4.2), (10.0, 4.2), (13.0, 6.5)]
     drive(route("er_in", "er_right", "sl_out"), 32.0, right_turn, category=2, sway=1)
     drive(route("wl_in", "wl_straight", "wl_out"), 22.0, 8.5, object_type="bus", category=2, sway=3)
-    drive(route("wr_in", "wr_straight", "wr_out"), 68.0, 4.6, object_type="cyclist", category=2, sway=2, offset_m=-1.0)
+    drive(route("wr_in", "wr_straight", "wr_out"), 68.0, 4.6, object_type="cyclist", category=2, sway=2, left_m=-1.0)
     drive(route("nl_in", "nl_right", "er_out"), 72.0, [(0.0, 0.0), (7.4, 0.0), (11.0, 4.0), (12.0, 4.2)])  # yields
     drive(route("nl_in"), 42.0, [(0.0, 6.5), (5.5, 0.0)], sway=0)  # queues behind it
     drive(route("sl_in"), 36.0, [(0.0, 8.2), (1.0, 8.2), (7.5, 0.0)], category=2)  # stops for the crossing pedestrians
@@ -478,7 +477,7 @@ def curve() -> SceneDraft:
     drive(right, 192.0, 9.2, sway=5)
     drive(left, 6.0, 10.5, sway=6)
     drive(left, 150.0, 10.8, sway=1)
-    drive(right, 8.0, 4.4, object_type="cyclist", category=2, sway=2, offset_m=-1.1)
+    drive(right, 8.0, 4.4, object_type="cyclist", category=2, sway=2, left_m=-1.1)
     drive(back, 24.0, 10.0, sway=4)
     drive(back, 96.0, 10.4, sway=2)
     drive(back, 150.0, 9.8, sway=3)

@@ -123,8 +123,7 @@ def write_small(drawn: Path | io.BytesIO, to: Path | io.BytesIO, *, colors: int 
     """A picture as a PNG of at most so many pixels a side with a palette."""
     picture = Image.open(drawn).convert("RGB")
     picture.thumbnail((width, width), Image.Resampling.LANCZOS)
-    palette = palette_of(picture, colors)
-    picture.quantize(palette=palette, dither=Image.Dither.NONE).save(to, "png", optimize=True)
+    picture.quantize(palette=palette_of(picture, colors), dither=Image.Dither.NONE).save(to, "png", optimize=True)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,16 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import Observation, decide, is_due
 from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
-from hid2.policy.observation import Inserted, gap_to_passed, gaps_on, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import (
+    Foreseen,
+    Inserted,
+    gap_to_passed,
+    gaps_on,
+    lane_options,
+    lay_across,
+    leader_on,
+    returns_to,
+)
 from hid2.policy.overtake import SHIFT_RATIO, Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -57,8 +66,7 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
 
 def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
     """(M,) m/s of a vehicle at the steps to come: up to its desired speed on a free road."""
-    start = vehicle.start
-    free = free_speeds(start.driver, start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
+    free = free_speeds(vehicle.start.driver, vehicle.start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
     return np.maximum(free, scene.config.lane_change.min_speed_mps)
 
 
@@ -97,10 +105,8 @@ class ManoeuvreDue:
         if isinstance(path, Reason):
             self.refuse(path)
             return None
-        shift = Shift(
-            side=option.side, source_lane=vehicle.path.segment_at(vehicle.s[-1]).lane_id,
-            target_lane=option.target.lane_id, requested_step=self.now, target=target,
-        )  # fmt: skip
+        source_lane = vehicle.path.segment_at(vehicle.s[-1]).lane_id
+        shift = Shift(option.side, source_lane, option.target.lane_id, self.now, target)
         if vehicle.stage is Stage.PASS:
             return Across(path, shift, Stage.RETURN, vehicle.overtaken_id)
         return Across(path, shift, Stage.ENTER, None if leader is None else leader.track_id)
@@ -128,9 +134,8 @@ class ManoeuvreDue:
         """For an overtake that may begin: the next vehicle ahead, if it may be within d_obs."""
         if self.vehicle.policy is not Policy.OVERTAKE or self.vehicle.stage is Stage.PASS:
             return None
-        d_obs_m = self.scene.config.overtake.d_obs_m
         path, box, s = self.vehicle.path, self.vehicle.start.box, self.vehicle.s[-1]
-        return leader_on(path, box, s=s, d_obs_m=d_obs_m, here=self._vehicles())
+        return leader_on(path, box, s=s, d_obs_m=self.scene.config.overtake.d_obs_m, here=self._vehicles())
 
     def passed_gap_m(self) -> float:
         """From the rear bumper to the overtaken vehicle behind, m; -inf unless it is passed."""
@@ -165,11 +170,9 @@ class ManoeuvreDue:
     def _lay(self, option: LaneOption, target: DrivenPath) -> DrivenPath | Reason:
         """The path across to a lane beside; or why there is none."""
         vehicle, scene, start = self.vehicle, self.scene, self.vehicle.start
-        path = lay_across(
-            scene, vehicle.path, target, side=option.side, s=vehicle.s[-1], step=self.now,
-            speed_mps=foreseen_speeds(vehicle, scene, self.now), remaining_m=option.remaining_m, driver=start.driver,
-            ratio=SHIFT_RATIO if vehicle.policy is Policy.OVERTAKE else 1.0,
-        )  # fmt: skip
+        own = Foreseen(vehicle.path, vehicle.s[-1], self.now, foreseen_speeds(vehicle, scene, self.now))
+        ratio, room_m = SHIFT_RATIO if vehicle.policy is Policy.OVERTAKE else 1.0, option.remaining_m
+        path = lay_across(scene, own, target, side=option.side, remaining_m=room_m, driver=start.driver, ratio=ratio)
         if isinstance(path, DrivenPath) and vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
         return path

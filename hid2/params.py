@@ -228,10 +228,11 @@ class LaneChange(_Section):
         "", "-", "arguments of a rule of your own, as 'b=1.0, lead=0.5'; a study varies them as rule.b"
     )
     safety: Literal["sumo", "guard", "rule"] = _param(
-        "sumo", "-",
+        "sumo",
+        "-",
         "what may refuse a gap that the rule takes: sumo: the guard and SUMO's gap check; guard: the guard alone; "
         "rule: neither, and what is unsafe is an outcome, in studies alone",
-    )  # fmt: skip
+    )
     mobil_politeness: float = _param(0.3, "-", "MOBIL p (Kesting et al. 2007: 0 to 1)", ge=0, le=2)
     mobil_threshold_mps2: float = _param(0.1, "m/s2", "MOBIL, advantage that is worth a change", ge=0, le=5)
     mobil_bias_mps2: float = _param(0.3, "m/s2", "MOBIL, bias towards the lane that is asked for", ge=0, le=10)

@@ -123,9 +123,8 @@ class Scene:
     @cached_property
     def unseen(self) -> Traffic:
         """Recorded vehicles that stand whenever they are seen, at the other steps: as if they stood there all along."""
-        arrays = self.states.arrays
         stand = ~(self.traffic.present & (self.traffic.speed > STANDS_MPS)).any(axis=1)
-        stand &= arrays.vehicle & (arrays.rows_per_agent >= self.steps_in(_SEEN_STANDING_S))
+        stand &= self.states.arrays.vehicle & (self.states.arrays.rows_per_agent >= self.steps_in(_SEEN_STANDING_S))
         seen = self.traffic.rows(np.flatnonzero(stand).tolist())
         return replace(seen.lasting(self.num_steps, step_s=0.0), present=~seen.present)
 
@@ -165,10 +164,8 @@ class Scene:
             span = slice(step, step + len(driven.heading))
             position[0, span], velocity[0, span] = driven.position, driven.velocity
             heading[0, span], present[0, span] = driven.heading, True
-        alone = Traffic(
-            ids=(vehicle_id,), position=position, heading=heading, velocity=velocity, present=present,
-            length_m=np.array([box.length_m]), width_m=np.array([box.width_m]),
-        )  # fmt: skip
+        length_m, width_m = np.array([box.length_m]), np.array([box.width_m])
+        alone = Traffic((vehicle_id,), position, heading, velocity, present, length_m, width_m)
         return alone.extended(self.future.num_steps - self.num_steps, step_s=self.step_s)
 
     @property

@@ -155,9 +155,8 @@ def boundaries(centerline: FloatArray) -> tuple[FloatArray, FloatArray]:
     middle = before + after
     length = np.hypot(middle[:, 0], middle[:, 1])
     folds = length < 2.0 / _MITRE  # the lane turns back: the bisector runs away
-    stretch = np.where(folds, 1.0, 2.0 / np.maximum(length, 1e-9))
     direction = np.where(folds[:, None], before, middle / np.maximum(length, 1e-9)[:, None])
-    offset = 0.5 * LANE_WIDTH_M * stretch[:, None] * direction
+    offset = 0.5 * LANE_WIDTH_M * np.where(folds, 1.0, 2.0 / np.maximum(length, 1e-9))[:, None] * direction
     return centerline + offset, centerline - offset
 
 
@@ -172,9 +171,8 @@ def _areas(raster: DrivableRaster, low: FloatArray, high: FloatArray) -> list[Fl
     within = raster.drivable[bottom : min(height, int(last_y) + 1), left : min(width, int(last_x) + 1)]
     row, edge = np.nonzero(np.diff(within.astype(np.int8), axis=1, prepend=0, append=0))  # where runs begin and end
     row, begin, end = row[::2] + bottom, edge[::2] + left, edge[1::2] + left
-    ground = shapely.union_all(shapely.box(begin, row, end, row + 1))
     rings = []
-    for part in shapely.get_parts(ground):
+    for part in shapely.get_parts(shapely.union_all(shapely.box(begin, row, end, row + 1))):
         rings += [np.asarray(piece.exterior.coords)[:-1] for piece in _without_holes(part)]
     return [(ring - translation) @ rotation for ring in rings]
 

@@ -110,9 +110,8 @@ def read_map(data: Any) -> tuple[LaneGraph | None, list[Breach]]:  # noqa: ANN40
     if found:
         return None, found
     rings = [_array(area["area_boundary"]) for area in values["drivable_areas"].values()]
-    areas = tuple(np.vstack([ring, ring[:1]])[:, :2] for ring in rings)
     crossings = (_corners(one["edge1"], one["edge2"]) for one in values["pedestrian_crossings"].values())
-    return LaneGraph(lanes, areas, tuple(crossings)), []
+    return LaneGraph(lanes, tuple(np.vstack([ring, ring[:1]])[:, :2] for ring in rings), tuple(crossings)), []
 
 
 def _breaches(error: ValidationError) -> list[Breach]:

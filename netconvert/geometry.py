@@ -42,8 +42,7 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
     points: (N, 2) m, of a length above 0. Returns (M, 2) m, M >= 2.
     """
     line = Polyline(points)
-    count = max(1, int(np.ceil(line.length_m / step_m - 1e-9)))
-    return line.point(np.linspace(0.0, line.length_m, count + 1))
+    return line.point(np.linspace(0.0, line.length_m, max(1, int(np.ceil(line.length_m / step_m - 1e-9))) + 1))
 
 
 def differences(values: FloatArray, step: float) -> FloatArray:

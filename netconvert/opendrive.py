@@ -67,8 +67,7 @@ class _Line:
         inside[0] |= first < 0.0
         s = np.maximum(begins[inside], first)
         s[0] = first
-        lengths = np.diff(np.append(s, last))
-        return _Line(np.column_stack([s - first, *self.at(s), lengths, self.parts[inside, 5]]))
+        return _Line(np.column_stack([s - first, *self.at(s), np.diff(np.append(s, last)), self.parts[inside, 5]]))
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (K, 2) m and headings (K,) rad."""
@@ -152,8 +151,7 @@ def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
 
 def _beside(path: Polyline, s: FloatArray, lane: LaneSegment) -> FloatArray:
     """How far to the left of a path at s (K,) m a lane, drawn on beyond its ends, is: (K,) m."""
-    line = lane.path.point(np.arange(-_BEYOND_M, lane.length_m + _BEYOND_M, _EVERY_M))
-    along, aside = path.frenet(line)
+    along, aside = path.frenet(lane.path.point(np.arange(-_BEYOND_M, lane.length_m + _BEYOND_M, _EVERY_M)))
     return np.interp(s, np.maximum.accumulate(along), aside)
 
 

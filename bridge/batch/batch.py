@@ -120,8 +120,7 @@ OnRow = Callable[[ManifestRow, Progress], None]
 def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
     """One job for every recording, with the variants asked for; variant 0 is the same however many there are."""
     check_exportable(config)
-    request = config.request.model_copy(update={"variants": 1})
-    single = config.model_copy(update={"request": request})
+    single = config.model_copy(update={"request": config.request.model_copy(update={"variants": 1})})
     runs = tuple(Run(single, variant) for variant in range(config.request.variants))
     return [SceneJob(folder, runs) for folder in folders]
 
@@ -219,8 +218,7 @@ def _check_owners(jobs: Sequence[SceneJob], manifest: Manifest, out_dir: Path) -
     for job in jobs if known else ():
         scenario_id, split = source_id(job.folder), split_of(job.folder) or ""
         for run in job.runs:
-            new_id = new_scenario_id(scenario_id, run.config, run.config.request.seed, run.variant)
-            other = known.get((split, new_id))
+            other = known.get((split, new_scenario_id(scenario_id, run.config, run.config.request.seed, run.variant)))
             if other is not None and other.scenario != _name(job.folder):
                 raise ConfigError(
                     f"{job.folder}: scene {scenario_id!r} is in {out_dir / other.folder} already, made from "
@@ -290,8 +288,7 @@ def _tasks(
             else:
                 wanted.append(run)
         for first in range(0, len(wanted), RUNS_OF_A_TASK):
-            part = tuple(wanted[first : first + RUNS_OF_A_TASK])
-            yield Task(place.folder.name, options.function, place, part)
+            yield Task(place.folder.name, options.function, place, tuple(wanted[first : first + RUNS_OF_A_TASK]))
 
 
 def _name(folder: Address) -> str:

@@ -100,8 +100,8 @@ def execute_here(
 def work_on_each(
     work: Callable[[_Shared, _Item], _Value],
     items: Sequence[_Item],
-    *,
     shared: _Shared,
+    *,
     jobs: int,
     chunk: int,
     timeout_s: float,

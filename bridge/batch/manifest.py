@@ -198,11 +198,9 @@ def _parse(line: bytes) -> ManifestRow | None:
     text, _, check = line.rpartition(b",")
     if check != b"%08x\n" % zlib.crc32(text):
         return None
-    types = ManifestRow.__annotations__
     try:
-        values = next(csv.reader([text.decode()]), [])
-        named = zip(ManifestRow._fields, values, strict=True)
-        row = ManifestRow(**{name: types[name](untabled(value)) for name, value in named})
+        named = zip(ManifestRow._fields, next(csv.reader([text.decode()]), []), strict=True)
+        row = ManifestRow(**{name: ManifestRow.__annotations__[name](untabled(value)) for name, value in named})
     except (ValueError, csv.Error):
         return None
     return row if _is_sound(row) else None

@@ -42,9 +42,7 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
         return
     never: dict[str, str] | None = None
     seen = 0
-    each = work_on_each(
-        never_in_scene, folders[:_LOOKED_AT], shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0
-    )
+    each = work_on_each(never_in_scene, folders[:_LOOKED_AT], (config, named), jobs=jobs, chunk=1, timeout_s=60.0)
     with contextlib.closing(each):
         for folder, found in each:
             if isinstance(found, Failure):

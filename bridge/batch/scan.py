@@ -97,12 +97,9 @@ def facts_of(
         near = [one for one in known if one.partition(":")[0] == kind]
         if name not in known and (near or ":" not in name):
             raise ConfigError(f"--can {name!r}: expected one of {', '.join(near or (*known, 'MODULE:BEHAVIOUR'))}")
-    own = _own_in(can)
-    asked = tuple(dict.fromkeys((*(name for name in EVENTS if name in can), *own)))
+    asked = tuple(dict.fromkeys((*(name for name in EVENTS if name in can), *_own_in(can))))
     long_s = 60 * (1 + len(asked))  # on a busy machine each search takes as long as all else may
-    each = work_on_each(
-        describe_scene, folders, shared=asked, jobs=jobs, chunk=_CHUNK, timeout_s=long_s, on_item=on_scene
-    )
+    each = work_on_each(describe_scene, folders, asked, jobs=jobs, chunk=_CHUNK, timeout_s=long_s, on_item=on_scene)
     return sorted_out(each)
 
 
@@ -155,7 +152,6 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
 
 def rooms(routes: Routes) -> dict[Policy, float]:
     """Metres of lane from which a change, or an overtake, has the length that the configuration of the scene asks."""
-    config = routes.scene.config
     lanes = [lane for lane in routes.scene.grid.graph.lanes.values() if lane.lane_type == "VEHICLE"]
 
     def beside(lane: LaneSegment) -> list[float]:
@@ -172,7 +168,7 @@ def rooms(routes: Routes) -> dict[Policy, float]:
         each = (min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes)
         return round(sum(each), 1)
 
-    change_m, overtake_m = config.lane_change.min_remaining_m, stretch_m(config)
+    change_m, overtake_m = routes.scene.config.lane_change.min_remaining_m, stretch_m(routes.scene.config)
     return {Policy.LANE_CHANGE: metres(beside, change_m), Policy.OVERTAKE: metres(to_pass, overtake_m)}
 
 

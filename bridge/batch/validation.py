@@ -36,10 +36,10 @@ def validate_folder(
     recorded = {source_id(one): one for one in fitting(given, Choices(map_path))}
     against = Against(out, recorded if sources else None, frozenset(inserted) or None)
     findings = check_tree(out, folders)
+    # starting a process takes as long as checking 50
     each = work_on_each(
-        validate_scene, folders, shared=against, jobs=jobs, timeout_s=120, isolated=jobs > 1, on_item=on_scene,
-        chunk=50,  # starting a process takes as long as checking so many
-    )  # fmt: skip
+        validate_scene, folders, against, jobs=jobs, chunk=50, timeout_s=120, isolated=jobs > 1, on_item=on_scene
+    )
     for folder, found in each:
         findings += [FileBreach(folder, "folder", found.message)] if isinstance(found, Failure) else found
     return findings

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from bridge.cli import options
 from bridge.cli.generation import notes_of
@@ -10,6 +10,7 @@ from bridge.cli.places import check_scenes, tell_unread
 from bridge.console import Activity, counted, print_json, say
 from bridge.files import data_folder
 from bridge.interruption import if_interrupted
+from bridge.recordings.folders import Choices
 from netconvert.errors import ConfigError, ScenarioError
 
 #: Options of any way of a command.
@@ -17,8 +18,24 @@ _WITH_ANY = frozenset({"--out", "--jobs", "--verbose", "--quiet"})
 _WITH_PREDICTIONS = _WITH_ANY | {"SCENES", "--predictions", "--bands", "--json"}
 
 
+class Scored(NamedTuple):
+    """Forecasts to score, in place of scenes to measure. given: all that is on the command line."""
+
+    given: options.Given
+    predictions: list[str] = options.option(
+        "Score forecasts instead: a file in av2's submission format, or a baseline; given again: compare the "
+        "files, further ones of a NAME being other seeds of it.",
+        [],
+        "[NAME=]FILE|constant-velocity|constant-turn-rate",
+    )
+    bands: str | None = options.option(
+        "With --predictions: bands of scenes with more agents than each N.", None, "N,N,...", show_default="50,70,90"
+    )
+    as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json")
+
+
 @options.command(reads=("out", "source", "control"), folders=("report",))
-def evaluate(  # noqa: PLR0913  # one for each option
+def evaluate(
     out: Path = options.argument(
         "SCENES", "Scenes to measure, generated or recorded: a scenario folder, a split folder or a root."
     ),
@@ -30,31 +47,20 @@ def evaluate(  # noqa: PLR0913  # one for each option
     control: Path | None = options.option(
         "Scenes of the same sources with drivers that the critics must tell, as data/configs has them.", None, "DIR"
     ),
-    predictions: list[str] = options.option(
-        "Score forecasts instead: a file in av2's submission format, or a baseline; given again: compare the "
-        "files, further ones of a NAME being other seeds of it.",
-        [],
-        "[NAME=]FILE|constant-velocity|constant-turn-rate",
-    ),
-    bands: str | None = options.option(
-        "With --predictions: bands of scenes with more agents than each N.", None, "N,N,...", show_default="50,70,90"
-    ),
-    windows: options.Windows,
+    scored: Scored,
+    choices: Choices,
     jobs: int = options.JOBS,
-    as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json"),
-    given: options.Given,
     activity: Activity,
 ) -> bool:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
-    if not predictions and (alone := sorted(given & {"--json", "--bands"})):
+    if scored.predictions:
+        scored.given.check(_WITH_PREDICTIONS, "--predictions")
+        return _score(out, scored, report, activity, jobs=jobs)
+    if alone := sorted(scored.given & {"--json", "--bands"}):
         raise ConfigError(f"{alone[0]} without --predictions does nothing, expected the two together")
-    if predictions:
-        given.check(_WITH_PREDICTIONS, "--predictions")
-        return _score(out, predictions, bands, report, activity, jobs=jobs, as_json=as_json)
     from bridge.evaluation.evaluate import evaluate_folder
 
     activity.doing("measuring scenes")
-    choices = windows.choices()
     evaluation = evaluate_folder(
         out, report_dir=report, source=source, choices=choices, control=control, jobs=jobs, on_scene=activity.show
     )
@@ -201,8 +207,29 @@ def make(
     print(write_road(out, road))
 
 
+class Plan(NamedTuple):
+    """How much an experiment makes, and `prediction` trains or has of elsewhere. given: all on the command line."""
+
+    given: options.Given
+    seeds: int | None = options.option(
+        "Seeds per scene, or of the training.", None, "N", min=1, show_default="10; prediction: 3"
+    )
+    variants: int | None = options.prediction("Scenes made of each recorded one.", None, "K", min=1, show_default="8")
+    val: float | None = options.prediction(
+        "Share of the scenes for validation.", None, "SHARE", min=0.01, max=0.9, show_default="0.3"
+    )
+    updates: int | None = options.prediction("Updates of each training.", None, "N", min=1, show_default="300")
+    focal: options.ReadingName = options.prediction("What is forecast in generated scenes; both: by turns.", "both")
+    composed: Path | None = options.prediction(
+        "Data sets that compose made, with the controls, instead of new ones.", None, "ROOT"
+    )
+    predictions: Path | None = options.prediction(
+        "Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.", None, "DIR"
+    )
+
+
 @options.command(folders=("out",))
-def paper(  # noqa: PLR0913  # one for each option
+def paper(
     experiment: options.ExperimentName = options.argument(
         "EXPERIMENT", "One of table1, ablation, density, diversity, prediction."
     ),
@@ -214,48 +241,30 @@ def paper(  # noqa: PLR0913  # one for each option
         "DIR",
         show_default=True,
     ),
-    windows: options.Windows,
-    seeds: int | None = options.option(
-        "Seeds per scene, or of the training.", None, "N", min=1, show_default="10; prediction: 3"
-    ),
+    choices: Choices,
+    plan: Plan,
     agents: int = options.option("Vehicles added, except in density.", 10, "N", min=0),
-    variants: int | None = options.prediction("Scenes made of each recorded one.", None, "K", min=1, show_default="8"),
-    val: float | None = options.prediction(
-        "Share of the scenes for validation.", None, "SHARE", min=0.01, max=0.9, show_default="0.3"
-    ),
-    updates: int | None = options.prediction("Updates of each training.", None, "N", min=1, show_default="300"),
-    focal: options.ReadingName = options.prediction("What is forecast in generated scenes; both: by turns.", "both"),
-    composed: Path | None = options.prediction(
-        "Data sets that compose made, with the controls, instead of new ones.", None, "ROOT"
-    ),
-    predictions: Path | None = options.prediction(
-        "Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.", None, "DIR"
-    ),
     jobs: int = options.JOBS,
-    given: options.Given,
     activity: Activity,
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
-    _check_fits(experiment, given)
-    check_scenes([composed] if composed else [] if predictions else scenes)
+    _check_fits(experiment, plan.given)
+    check_scenes([plan.composed] if plan.composed else [] if plan.predictions else scenes)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction
         from hid2.params import Forecasting
 
-        asked = {"variants": variants, "val_share": val, "updates": updates}
+        asked = {"variants": plan.variants, "val_share": plan.val, "updates": plan.updates}
         params = Forecasting.model_validate({name: value for name, value in asked.items() if value is not None})
-        page = run_prediction(
-            scenes, out, TrainingPlan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
-            composed=composed, predictions=predictions, on_step=activity.step
-        )  # fmt: skip
+        training, brought = TrainingPlan(plan.seeds or 3, agents, plan.focal, params), (plan.composed, plan.predictions)
+        page = run_prediction(scenes, out, training, *brought, jobs=jobs, on_step=activity.step)
     else:
         from bridge.evaluation.paper import run_experiment
 
         activity.doing("generating and measuring")
         page = run_experiment(
-            experiment, scenes=scenes, out_dir=out, choices=windows.choices(), seeds=seeds or 10,
-            agents=agents, jobs=jobs, on_scene=activity.show
-        )  # fmt: skip
+            experiment, scenes, out, choices, seeds=plan.seeds or 10, agents=agents, jobs=jobs, on_scene=activity.show
+        )
     activity.end()
     print(page)
 
@@ -285,12 +294,11 @@ def _tell_left_out(how: str, lines: Sequence[str], activity: Activity) -> None:
         say(f"warning: {how}: {len(lines) - shown} more (-v lists them)")
 
 
-def _score(
-    out: Path, files: list[str], bands: str | None, report: Path, activity: Activity, *, jobs: int, as_json: bool
-) -> bool:
+def _score(out: Path, scored: Scored, report: Path, activity: Activity, *, jobs: int) -> bool:
     """Score forecasts, or compare those of several files; returns whether some scene was left out."""
     from bridge.forecasting import predictions
 
+    files, bands, as_json = scored.predictions, scored.bands, scored.as_json
     given = ",".join(map(str, predictions.BOUNDS)) if bands is None else bands.replace(" ", "")
     bounds = sorted({int(band) for band in given.split(",") if band.isdecimal()} - {0})
     if ",".join(map(str, bounds)) != given:

@@ -1,7 +1,8 @@
 """Options: what each says, groups that several commands share, and how a command's are made of its signature.
 
 A parameter of a command has an `option` or an `argument` as its default. One with a group as its type (a NamedTuple
-of options) stands for all of that group, and one with `FieldOptions` as its default for parameters of the method.
+of options and groups) stands for all of that group, and one with `FieldOptions` as its default for parameters of the
+method.
 """
 
 import io
@@ -126,8 +127,7 @@ class _Handler(logging.Handler):
 
 def _set_up(*, verbose: int = 0, quiet: bool = False) -> None:
     """Logging as asked for; no figure opens a window, and names of any bytes can be printed."""
-    wanted = logging.ERROR if quiet else logging.WARNING
-    level = (wanted, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    level = (logging.ERROR if quiet else logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
     logging.basicConfig(level=logging.WARNING, handlers=[_Handler()])
     for package in ("bridge", "hid2", "netconvert"):
         logging.getLogger(package).setLevel(level)
@@ -160,24 +160,9 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
 
     Before it is called logging is set up and its values are checked; an `Activity` that it takes is begun.
     """
-    parameters: list[Parameter] = []
-    groups: dict[str, tuple[Callable[..., Any], dict[str, str]]] = {}
     hints = get_type_hints(function)
-    for name, own in signature(function).parameters.items():
-        kind = hints[name]
-        if isinstance(own.default, FieldOptions):
-            found = own.default.parameters()
-            groups[name] = dict, {key: one.name for key, one in found.items()}
-            parameters += found.values()
-        elif kind is Given:
-            parameters.append(Parameter("context", Parameter.KEYWORD_ONLY, annotation=typer.Context))
-        elif kind is Activity or hasattr(kind, "_fields"):
-            options = Tell if kind is Activity else kind
-            groups[name] = kind, {key: key for key in options._fields}
-            each = get_type_hints(options)
-            parameters += [_parameter(key, each[key], options._field_defaults[key]) for key in options._fields]
-        else:
-            parameters.append(_parameter(name, kind, own.default))
+    each = {name: _taken(name, hints[name], own.default) for name, own in signature(function).parameters.items()}
+    parameters = [one for found, _ in each.values() for one in found]
 
     @wraps(function)
     def called(**values: Any) -> object:
@@ -185,19 +170,33 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
         for text in values.get("settings") or ():  # before what is behind it is taken for a scene
             if "=" not in text:
                 raise ConfigError(f"--set {text!r}: expected section.key=value")
-        made = {
-            name: kind(**{key: values.pop(one) for key, one in keys.items()}) for name, (kind, keys) in groups.items()
-        }
-        made |= {name: _given(values.pop("context")) for name, kind in hints.items() if kind is Given}
         check(values)
+        made = {name: value_of(values) for name, (_, value_of) in each.items()}
         with ExitStack() as stack:
             for activity in (one for one in made.values() if isinstance(one, Activity)):
                 stack.enter_context(activity)
-            return function(**made, **values)
+            return function(**made)
 
     called.__signature__ = signature(function).replace(parameters=parameters)  # type: ignore[attr-defined]
     called.__annotations__ = {one.name: one.annotation for one in parameters}
     return called
+
+
+def _taken(name: str, kind: Any, default: Any) -> tuple[list[Parameter], Callable[[Mapping[str, Any]], Any]]:
+    """The parameters that one of a command's, or of a group's, stands for, and how its value is made of theirs."""
+    if isinstance(default, FieldOptions):
+        found = default.parameters()
+        return [*found.values()], lambda values: {key: values[one.name] for key, one in found.items()}
+    if kind is Given:
+        context = Parameter("context", Parameter.KEYWORD_ONLY, annotation=typer.Context)
+        return [context], lambda values: _given(values["context"])
+    group = {Activity: Tell, Choices: Windows}.get(kind, kind)
+    if hasattr(group, "_fields"):
+        hints, defaults = get_type_hints(group), group._field_defaults
+        each = {key: _taken(key, hints[key], defaults.get(key)) for key in group._fields}
+        parameters = [one for taken, _ in each.values() for one in taken]
+        return parameters, lambda values: kind(**{key: value_of(values) for key, (_, value_of) in each.items()})
+    return [_parameter(name, kind, default)], lambda values: values[name]
 
 
 def _given(context: typer.Context) -> Given:
@@ -223,7 +222,7 @@ SETTINGS = parameter("One parameter, section.key=value; repeatable.", [], "KEY=V
 
 
 class Tell(NamedTuple):
-    """How much is said."""
+    """`Activity`: how much is said."""
 
     verbose: int = output(
         "Say more; -vv: everything, in generate the story of every vehicle that was tried.", 0, None, "-v", count=True,
@@ -240,15 +239,11 @@ class OneWindow(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Which parts of recordings are read, and with which map."""
+    """`Choices`: which parts of recordings are read, and with which map."""
 
     map_path: Path | None = MAP
     window: int = selection("First sweep of a sensor log that is taken.", 0, "N", min=0)
     stride: int | None = selection("More windows of a sensor log, N sweeps from one to the next.", None, "N", min=1)
-
-    def choices(self) -> Choices:
-        """As readers take it."""
-        return Choices(*self)
 
 
 class Which(NamedTuple):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.batch.manifest import is_output
-from bridge.cli.options import Which, Windows
+from bridge.cli.options import Which
 from bridge.console import Activity, say, warn
 from bridge.interruption import remove_abandoned
 from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, names_in, other_data
@@ -44,9 +44,11 @@ def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:
     return fitting([find_one(path, Choices(*window))], Choices(*window))[0]
 
 
-def recordings(scenes: Sequence[Path], windows: Windows, activity: Activity) -> list[Address]:
-    """The recordings below paths, with a note of what they are. Errors: ConfigError."""
-    found = fitting(find_recordings(scenes, windows.choices()), windows.choices())
+def recordings(
+    scenes: Sequence[Path], choices: Choices, activity: Activity, *, generated: bool = True
+) -> list[Address]:
+    """The recordings below paths, generated ones or not, with a note of what they are. Errors: ConfigError."""
+    found = fitting(find_recordings(scenes, choices, generated=generated), choices)
     activity.note(*described(found))
     return found
 

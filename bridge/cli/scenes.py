@@ -2,11 +2,12 @@
 
 from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 from bridge.cli import options
 from bridge.cli.places import one_scene, recordings, tell_unread
 from bridge.console import Activity, counted, print_json, print_table
-from bridge.recordings.folders import Address
+from bridge.recordings.folders import Address, Choices
 from netconvert.errors import ConfigError, MapError, NetError, ScenarioError
 
 
@@ -51,17 +52,23 @@ def validate(
     return bool(wrong)
 
 
+class Printed(NamedTuple):
+    """Where a table goes."""
+
+    out: Path | None = options.output("Write a CSV file instead of a table.", None, "FILE.csv", "-o")
+    as_json: bool = options.AS_JSON
+
+
 @options.command(reads=("scenes",), files=("out",))
 def scan(
     scenes: list[Path] = options.SCENES,
     *,
-    out: Path | None = options.output("Write a CSV file instead of a table.", None, "FILE.csv", "-o"),
+    printed: Printed,
     which: options.Which,
     events: bool = options.selection("Look for all events with av and focal, up to a minute a scene.", False),
     seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
-    windows: options.Windows,
+    choices: Choices,
     jobs: int = options.JOBS,
-    as_json: bool = options.AS_JSON,
     activity: Activity,
 ) -> bool:
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre.
@@ -71,7 +78,7 @@ def scan(
     from bridge.batch.scan import EVENTS, SceneFacts, Selection, facts_of, select
     from bridge.files import make_folder, write_rows
 
-    folders = recordings(scenes, windows, activity)
+    folders, (out, as_json) = recordings(scenes, choices, activity), printed
     if out is not None and as_json:
         raise ConfigError("--json does nothing here, as -o names a CSV file; give one of the two")
     if out is not None:
@@ -133,7 +140,7 @@ def export(
     out: Path = options.OUT,
     *,
     to: options.FormatName = options.output("Format to write.", ..., None, "--to"),
-    windows: options.Windows,
+    choices: Choices,
     activity: Activity,
 ) -> bool:
     """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SSAM's trajectories, SUMO's.
@@ -144,7 +151,7 @@ def export(
     activity.doing("writing scenes")
     from bridge.exports.export import export_scene
 
-    found = recordings(scenes, windows, activity)
+    found = recordings(scenes, choices, activity)
     written, failures = list[Path](), list[tuple[Address, str]]()
     for count, address in enumerate(found, start=1):
         try:

@@ -8,6 +8,7 @@ from bridge.cli import options
 from bridge.cli.places import one_scene, recordings, select_scenes, tell_unread
 from bridge.console import Activity, print_json, print_table, say
 from bridge.files import data_folder, explained
+from bridge.recordings.folders import Choices
 from netconvert.errors import ConfigError
 
 STEP = options.option("Timestep of a picture.", None, "N", min=0, show_default="the last observed one")
@@ -20,7 +21,7 @@ def view(
     *,
     which: options.Which,
     seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
-    windows: options.Windows,
+    choices: Choices,
     activity: Activity,
 ) -> bool:
     """Write scenes as one HTML file that a browser plays, without a network: what each vehicle did, and why."""
@@ -29,7 +30,7 @@ def view(
     from bridge.pictures.figures import check_ending
 
     check_ending(out, (".html",))
-    found = select_scenes(recordings(scenes, windows, activity), which, seed, activity, jobs=1)
+    found = select_scenes(recordings(scenes, choices, activity), which, seed, activity, jobs=1)
     activity.doing("packing scenes")
     page, unread = view_scenes(found, out, on_scene=activity.show)
     tell_unread(unread)

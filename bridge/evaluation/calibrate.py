@@ -44,7 +44,7 @@ def calibrate_folder(
     if not folders:
         raise ConfigError(f"{root}: --without leaves no scene to calibrate with, expected at least one")
     scenes, failures = sorted_out(
-        work_on_each(observe_scene, folders, shared=1, jobs=jobs, chunk=20, timeout_s=120, on_item=on_scene)
+        work_on_each(observe_scene, folders, 1, jobs=jobs, chunk=20, timeout_s=120, on_item=on_scene)
     )
     if not scenes:
         raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")

@@ -55,9 +55,7 @@ def evaluate_folder(
     with contextlib.ExitStack() as stack:
         tables: dict[str, tuple[IO[str], Sequence[str]]] = {}
         every = [*folders, *sources.values(), *controls]
-        each = work_on_each(
-            measure, every, shared=frozenset(sources), jobs=jobs, chunk=40, timeout_s=120, on_item=on_scene
-        )
+        each = work_on_each(measure, every, frozenset(sources), jobs=jobs, chunk=40, timeout_s=120, on_item=on_scene)
         for done, (folder, packed) in enumerate(each, 1):
             if isinstance(packed, Failure):
                 failures.append((folder, packed.message))

@@ -98,7 +98,7 @@ def run_settings(
     rows: dict[str, list[Row]] = {setting: [] for setting in (*settings, _SMOOTHED)}
     failures: dict[str, list[str]] = {setting: [] for setting in settings}
     each = work_on_each(
-        generate_and_measure, folders, shared=(name, agents, seeds), jobs=jobs, chunk=1,
+        generate_and_measure, folders, (name, agents, seeds), jobs=jobs, chunk=1,
         timeout_s=_TIMEOUT_S * seeds * len(settings), on_item=on_scene,
     )  # fmt: skip
     for folder, made in each:
@@ -162,7 +162,7 @@ def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple
 
 
 def run_experiment(
-    name: Experiment, *, scenes: Path | Sequence[Path], out_dir: Path, choices: Choices | None = None, seeds: int = 10,
+    name: Experiment, scenes: Path | Sequence[Path], out_dir: Path, choices: Choices | None = None, *, seeds: int = 10,
     jobs: int = 1, agents: int = 10, on_scene: OnDone = None,
 ) -> Path:  # fmt: skip
     """Run one experiment of the paper on recorded scenes; returns the page that it wrote.
@@ -238,10 +238,12 @@ def _line(label: str, rows: Sequence[Row], what: str | Mapping[str, float]) -> L
 
 #: Table 1: lines with the paper's figures, or with the group that they are of; of Argoverse 1 also whether smoothed.
 _ARGOVERSE2: Sequence[tuple[str, str | Mapping[str, float]]] = (
-    ("paper: Argoverse 2", PAPER_ORIGINAL), ("ours: recorded scenes", "original"),
-    ("paper: HiD2", PAPER_HID2), ("ours: recorded and generated", "combined"),
+    ("paper: Argoverse 2", PAPER_ORIGINAL),
+    ("ours: recorded scenes", "original"),
+    ("paper: HiD2", PAPER_HID2),
+    ("ours: recorded and generated", "combined"),
     ("ours: generated vehicles alone", "generated"),
-)  # fmt: skip
+)
 _ARGOVERSE1: Sequence[tuple[str, str | Mapping[str, float], bool]] = (
     ("paper: Argoverse 1", PAPER_ARGOVERSE1, False),
     ("ours: Argoverse 1, recorded, positions as they are", "original", False),

@@ -98,28 +98,27 @@ class Resimulation:
         """
         recording, rows = self.recording, {one.row for one in vehicles}
         if model == "constant velocity":
-            ahead_s = recording.step_s * np.arange(recording.num_steps - NOW)
-            yield self._with(vehicles, [
-                (one.position + ahead_s[:, None] * one.velocity, np.full(ahead_s.size, one.heading)) for one in vehicles
-            ])  # fmt: skip
+            ahead_s = recording.step_s * np.arange(recording.num_steps - NOW)[:, None]
+            motion = [(one.position + ahead_s * one.velocity, np.full(ahead_s.size, one.heading)) for one in vehicles]
+            yield self._with(vehicles, motion)
             return
         if model == "default":
             config = config.model_copy(update={"car_following": CarFollowing(model="Krauss")})
-        kept = [track for row, track in enumerate(recording.tracks) if row not in rows and track.timesteps[-1] >= NOW]
+        others = (track for row, track in enumerate(recording.tracks) if row not in rows)
+        kept = [_some(track, track.timesteps >= NOW) for track in others if track.timesteps[-1] >= NOW]
+        steps, last = recording.num_steps - NOW, recording.last_observed - NOW
         scene = build_scene(
-            self._grid, [_some(track, track.timesteps >= NOW) for track in kept], config=config,
-            num_steps=recording.num_steps - NOW, step_s=recording.step_s,
-            last_observed_step=recording.last_observed - NOW,
-        )  # fmt: skip
+            self._grid, kept, config=config, num_steps=steps, step_s=recording.step_s, last_observed_step=last
+        )
         roads, stop_lines, own = Roads(scene), StopLines(scene), [one.track.track_id for one in vehicles]
         paths = [own_path(scene, one) for one in vehicles]
         moving = [one.speed_mps for one in vehicles if one.speed_mps > MOVES_MPS]
         usual_mps = float(np.median(moving)) if len(moving) >= _PACE_OF else config.spawn.prior_speed_mps
         seed = [config.request.seed, zlib.crc32(" ".join([recording.scenario_id, *own]).encode())]
+        law, parameters = config.car_following.model, {"sigma": 0.5} if model == "default" else model_parameters(config)
         with Simulation(
-            self._net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
-            parameters={"sigma": 0.5} if model == "default" else model_parameters(config),
-        ) as simulation:  # fmt: skip
+            self._net, seed=sumo_seed(seed), step_s=scene.step_s, model=law, parameters=parameters
+        ) as simulation:
             for rollout in range(seeds):
                 rng, pace_mps = np.random.default_rng([*seed, rollout]), None if model == "default" else usual_mps
                 starts = [
@@ -177,10 +176,8 @@ class Resimulation:
 
 def _some(track: Track, there: BoolArray) -> Track:
     """Some steps of a track, counted from the present."""
-    return replace(
-        track, timesteps=track.timesteps[there] - NOW, position=track.position[there], heading=track.heading[there],
-        velocity=track.velocity[there],
-    )  # fmt: skip
+    motion = {name: getattr(track, name)[there] for name in ("position", "heading", "velocity")}
+    return replace(track, timesteps=track.timesteps[there] - NOW, **motion)
 
 
 def _ahead(known: PathOccupancy, start_m: float) -> PathOccupancy:
@@ -206,24 +203,21 @@ def resimulate_folders(
     if len(folders) < 2:
         there = f"{len(folders)} scene{'s' * (not folders)}"
         raise ConfigError(f"{paths[0]}: {there}, expected two at least: each half is driven as calibrated in the other")
-    seen, failures = sorted_out(
-        work_on_each(observe_scene, folders, shared=LAST + 1, jobs=jobs, chunk=4, timeout_s=120)
-    )
+    seen, failures = sorted_out(work_on_each(observe_scene, folders, LAST + 1, jobs=jobs, chunk=4, timeout_s=120))
     folders = [one for one in folders if one not in {failed for failed, _ in failures}]
     halves = [drivers_of(calibrate(seen[1 - half :: 2], prior=Drivers())) for half in (0, 1) if seen[1:]]
     drivers = {folder: halves[number % 2] for number, folder in enumerate(folders) if halves}
-    scenes, failed = sorted_out(work_on_each(
-        score_scene, [*drivers], shared=(plan, drivers, out), jobs=jobs, chunk=1, timeout_s=_SCENE_S * plan.seeds,
-        on_item=on_scene,
-    ))  # fmt: skip
+    shared, long_s = (plan, drivers, out), _SCENE_S * plan.seeds
+    scenes, failed = sorted_out(
+        work_on_each(score_scene, [*drivers], shared, jobs=jobs, chunk=1, timeout_s=long_s, on_item=on_scene)
+    )
     failures += failed
     some = [scene for scene in scenes if scene.driven]
     if len(some) < 2:
         said = f"; {failures[0][0]}: {failures[0][1]}" if failures else ""
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
-        others = [one.recorded for one in some if one is not scene]
-        pool = Features(*map(np.hstack, zip(*others, strict=True)))
+        pool = Features(*map(np.hstack, zip(*[one.recorded for one in some if one is not scene], strict=True)))
         rng = np.random.default_rng([plan.seed, zlib.crc32(scene.name.encode())])
         drawn = rng.integers(pool.values.shape[1], size=(plan.seeds, len(scene.driven)))
         scene.found["reference"] = likelihoods(scene.recorded, [pool.agents(rows) for rows in drawn])
@@ -277,11 +271,10 @@ def _write(
         for scene in scenes for track_id, why in [*((one, "") for one in scene.driven), *scene.left.items()]
     ])  # fmt: skip
     counts = {
+        "measured": [len(half) for half in halves],
         "driven": sum(len(scene.driven) for scene in some),
         "left": Counter(why for scene in scenes for why in scene.left.values()).most_common(),
         "unscored": [*failures, *((scene.name, "no vehicle to drive") for scene in scenes if not scene.driven)],
     }
-    write_page(
-        out / "resimulation.html", "resimulation.html.j2", plan=plan, rows=rows, models=MODELS, features=FEATURES,
-        scenes=len(some), measured=[len(half) for half in halves], **counts,
-    )  # fmt: skip
+    said = {"plan": plan, "rows": rows, "models": MODELS, "features": FEATURES, "scenes": len(some)}
+    write_page(out / "resimulation.html", "resimulation.html.j2", **said, **counts)

@@ -309,8 +309,7 @@ def _seen(track_id: str | None, record: ManeuverRecord, candidates: Sequence[Man
     if at is None or not same:
         return None
     nearest = min(same, key=lambda m: abs(m.crossing_s - at))
-    inside = nearest.start_s - SAME_MANEUVER_S <= at <= nearest.end_s + SAME_MANEUVER_S
-    return nearest if inside else None
+    return nearest if nearest.start_s - SAME_MANEUVER_S <= at <= nearest.end_s + SAME_MANEUVER_S else None
 
 
 def _apart(row: Row, arrays: SceneArrays, focal_track_id: str) -> Row:

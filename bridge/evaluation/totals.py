@@ -174,8 +174,7 @@ class Samples:
         every = self._kept
         if control is not None:
             every = np.concatenate([part[part["generated"] == kind] for part, kind in ((every, 0), (control._kept, 1))])
-        by_scene = np.unique(every["scene"], return_inverse=True)[1]
-        return every[np.lexsort([every["drawn"], by_scene])]
+        return every[np.lexsort([every["drawn"], np.unique(every["scene"], return_inverse=True)[1]])]
 
 
 class ManeuverCounts:
@@ -259,14 +258,12 @@ class Totals:
 
     def add_control(self, measures: SceneMeasures) -> None:
         """Take a scene of the control's drivers in: of it only what the critics look at counts."""
-        own = measures.windows
-        self.control.add(own[own["generated"]], scene=measures.scene["scenario_id"])
+        self.control.add(measures.windows[measures.windows["generated"]], scene=measures.scene["scenario_id"])
 
     def _add_driving(self, measures: SceneMeasures, *, generated: bool, recorded: bool) -> None:
         self.realism.add(measures.realism, generated=generated, recorded=recorded)
         own = measures.windows
-        kept = own[np.where(own["generated"], generated, recorded)]
-        self.samples.add(kept, scene=measures.scene["scenario_id"])
+        self.samples.add(own[np.where(own["generated"], generated, recorded)], scene=measures.scene["scenario_id"])
 
     def content(self) -> dict[str, Any]:
         """The parts of metrics.json that the scenes tell."""

@@ -109,8 +109,7 @@ def _problem(number: int, states: FloatArray) -> etree._Element:
     last, x, y, heading, _ = states[-1].tolist()
     size, turned = f"{2 * _GOAL_M:g}", float(wrap_angle(heading))
     center = E.center(E.x(f"{x:.6f}"), E.y(f"{y:.6f}"))
-    area = E.rectangle(E.length(size), E.width(size), E.orientation(f"{heading:.6f}"), center)
-    goal = E.goalState(E.position(area))
+    goal = E.goalState(E.position(E.rectangle(E.length(size), E.width(size), E.orientation(f"{heading:.6f}"), center)))
     for key, low, high in (
         ("orientation", f"{turned - _GOAL_RAD:.6f}", f"{turned + _GOAL_RAD:.6f}"),
         ("time", f"{states[0, 0] + 1:.0f}", f"{last:.0f}"),

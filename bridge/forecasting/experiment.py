@@ -78,8 +78,8 @@ class TrainingPlan(NamedTuple):
 
 
 def run_prediction(
-    scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: int = 1, composed: Path | None = None,
-    predictions: Path | None = None, on_step: Progress | None = None,
+    scenes: Sequence[Path], out: Path, plan: TrainingPlan, composed: Path | None = None,
+    predictions: Path | None = None, *, jobs: int = 1, on_step: Progress | None = None,
 ) -> Path:  # fmt: skip
     """Run the experiment and write prediction.html, .json and _scores.csv into `out`; returns the page.
 
@@ -325,7 +325,7 @@ def _write(
     write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *scoring.SCORE_COLUMNS), every)
     write_json(out / "prediction.json", content)
     page = out / "prediction.html"
-    pages.write_page(page, "prediction.html.j2", **content | {
+    content |= {
         "updates": updates,
         "reading": None if reading is None else _READINGS[reading],
         "gain_m": PAPER_GAIN_M,
@@ -333,5 +333,6 @@ def _write(
         "metrics": [scoring.METRICS[key] for key in _COLUMNS],
         "head": scoring.HEAD,
         "rows": scoring.rows_of(differences),
-    })  # fmt: skip
+    }
+    pages.write_page(page, "prediction.html.j2", **content)
     return page

@@ -66,7 +66,7 @@ def facts_of_scenes(
 ) -> tuple[list[SourceScene], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
     each = work_on_each(
-        describe, folders, shared=Forecasting(), jobs=jobs, chunk=256, timeout_s=60, isolated=False, on_item=on_scene
+        describe, folders, Forecasting(), jobs=jobs, chunk=256, timeout_s=60, isolated=False, on_item=on_scene
     )
     facts, unread = sorted_out(each)
     return facts, [reason for _, reason in unread]

@@ -98,7 +98,7 @@ def score_predictions(
         make_folder(report_dir)
     items = [(folder, named or forecasts.get(name)) for name, folder in first.items()]
     each = work_on_each(
-        score_folder, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
+        score_folder, items, None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
     )
     scored, failed = sorted_out(each)
     rows = [row for own, _ in scored for row in own]
@@ -297,8 +297,7 @@ def _aligned(
     models: Sequence[Runs], source_of: Mapping[str, str], metric: MetricKey
 ) -> tuple[list[FloatArray], IntArray]:
     """Values (seeds, T) of each model on the T tracks that every run forecasts, and the number (T,) of their source."""
-    track = ["scenario_id", "track_id"]
-    each = [run.query(f"k == {K}").set_index(track)[metric] for runs in models for run in runs]
+    each = [run.query(f"k == {K}").set_index(["scenario_id", "track_id"])[metric] for runs in models for run in runs]
     values = pd.concat(each, axis=1, join="inner").sort_index()
     _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in values.index], return_inverse=True)
     seeds = np.cumsum([len(runs) for runs in models])[:-1]
@@ -333,8 +332,7 @@ def _bootstrap(
             result += sign * (middle + (chosen - middle) * np.sqrt(len(own) / max(1, len(own) - 1)))
         drawn.append(result)
     every, most = np.concatenate(drawn), 1.0 if metric == "missed" else np.inf
-    possible = np.clip(every, 0.0 if len(values) == 1 else -most, most)
-    return interval(value, possible), float(every.std(ddof=1))
+    return interval(value, np.clip(every, 0.0 if len(values) == 1 else -most, most)), float(every.std(ddof=1))
 
 
 def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:

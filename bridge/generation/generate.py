@@ -163,8 +163,7 @@ class _Rounds:
 
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, kept: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
-        roads = self._filling.surroundings.roads
-        fleet = Fleet(scene, [start], kept, roads, stop_lines)
+        fleet = Fleet(scene, [start], kept, self._filling.surroundings.roads, stop_lines)
         (vehicle,) = FleetSimulation(fleet, self._simulation, checked=False).run()
         self.driven.append((0, vehicle))
         return vehicle
@@ -175,10 +174,9 @@ class _Rounds:
         Poses of recorded agents are measured, where that is asked for, in the first one, or, where they react, last.
         """
         here, scene = self._filling.surroundings, self._filling.surroundings.scene
-        asked = scene.config.driving
-        is_measured = number == 0 or asked.replay == "reactive"
+        is_measured = number == 0 or scene.config.driving.replay == "reactive"
         fleet = Fleet(scene, starts, kept, here.roads, here.stop_lines)
-        driving = FleetSimulation(fleet, self._simulation, checked=asked.check_replay and is_measured)
+        driving = FleetSimulation(fleet, self._simulation, checked=scene.config.driving.check_replay and is_measured)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
         if is_measured:
@@ -261,7 +259,7 @@ def _sidecar(
             focal=focal,
         ),
         agents=tuple(agents),
-        unmet=tuple(records.unmet_records(filling.unmet[:most_unmet])),
+        unmet=tuple(records.unmet_record(one) for one in filling.unmet[:most_unmet]),
         events=tuple(records.event_record(one, names) for one in filling.events),
         rejected=records.rejected_records(filling),
         replaced=tuple(records.replaced_record(one) for one in filling.rejected),

@@ -101,30 +101,29 @@ def maneuver_record(
 
 def event_record(found: EventOutcome, names: Mapping[str, str]) -> sidecar.EventRecord:
     """Record of one event that was asked for; names: as of `agent_record`."""
-    event, seen = found.event, found.seen
+    asked: Any = {"kind": found.event.kind, "target": found.event.target, "tries": found.tries}
+    seen = found.seen
     if found.vehicle is None or seen is None:
         most = next((one for one in found.tried if one is not found.reason), None)
-        return sidecar.EventRecord(
-            kind=event.kind, target=event.target, status="not_feasible", reason=_with_detail(found.reason, most),
-            tries=found.tries, tried={reason.value: count for reason, count in found.tried.items()},
-        )  # fmt: skip
+        tried = {reason.value: count for reason, count in found.tried.items()}
+        return sidecar.EventRecord(**asked, status="not_feasible", reason=_with_detail(found.reason, most), tried=tried)
     figures: Any = {name: None if value is None else round(value, 6) for name, value in asdict(seen.measures).items()}
     return sidecar.EventRecord(
-        kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
-        target_track_id=found.target_id, at_s=round(seen.at_step * found.vehicle.motion.step_s, 6),
-        ahead=seen.order > 0, human_brakes=brakes_for(figures["min_ttc_s"], figures["drac_mps2"]), tries=found.tries,
+        **asked,
         **figures,
-    )  # fmt: skip
+        status="done",
+        track_id=names[found.vehicle.driven.vehicle_id],
+        target_track_id=found.target_id,
+        at_s=round(seen.at_step * found.vehicle.motion.step_s, 6),
+        ahead=seen.order > 0,
+        human_brakes=brakes_for(figures["min_ttc_s"], figures["drac_mps2"]),
+    )
 
 
-def unmet_records(unmet: Sequence[Unmet]) -> list[sidecar.ManeuverRecord]:
-    """Records of manoeuvres that no vehicle does."""
-    return [
-        sidecar.ManeuverRecord(
-            kind=_kind(missed.request.policy), status="not_feasible", reason=missed.reason.value,
-            trigger_s=round(missed.request.trigger_s, 6),
-        ) for missed in unmet
-    ]  # fmt: skip
+def unmet_record(missed: Unmet) -> sidecar.ManeuverRecord:
+    """Record of a manoeuvre that no vehicle does."""
+    kind, reason, trigger_s = _kind(missed.request.policy), missed.reason.value, round(missed.request.trigger_s, 6)
+    return sidecar.ManeuverRecord(kind=kind, status="not_feasible", reason=reason, trigger_s=trigger_s)
 
 
 def _with_detail(reason: Reason | None, detail: str | None) -> str | None:

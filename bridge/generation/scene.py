@@ -89,11 +89,10 @@ class TrafficScene:
 
         one, states = self.recording, recording_states(self.recording)
         columns = ["track_id", "time_s", "quantity", "value", "limit", "unit", "other", "sentence"]
+        each = ((f, f.quantity, round(f.step * one.step_s, 6)) for f in findings_of(states, self.sidecar))
         rows = [
-            (f.track_id, round(f.step * one.step_s, 6), f.quantity.value, f.value, f.limit, f.quantity.unit, f.other,
-             f.quantity.sentence)
-            for f in findings_of(states, self.sidecar)
-        ]  # fmt: skip
+            (f.track_id, time_s, of.value, f.value, f.limit, of.unit, f.other, of.sentence) for f, of, time_s in each
+        ]
         return pd.DataFrame(rows, columns=columns)
 
     def conflicts(self, *, agent: str | None = None, pet_s: float = 5.0, ttc_s: float = 1.5) -> "list[TrafficConflict]":

@@ -116,7 +116,8 @@ def facts_of(document: Mapping[str, Any]) -> dict[str, Any]:
     events, rejected = said.get("events", []), said.get("rejected", [])
     return {
         **{key: document[key] for key in ("id", "city", "split", "word")},
-        "inserted": inserted, "recorded": len(document["tracks"]) - inserted,
+        "inserted": inserted,
+        "recorded": len(document["tracks"]) - inserted,
         "seconds": round((document["steps"] - 1) * document["step_s"], 6),
         "findings": len(document["findings"]),
         "source": said.get("source_scenario_id", document["id"]),
@@ -125,7 +126,7 @@ def facts_of(document: Mapping[str, Any]) -> dict[str, Any]:
         "reasons": sorted({one["reason"] for one in (*maneuvers, *events, *rejected) if one["reason"]}),
         "events": [[one["kind"], one["status"]] for one in events],
         "maneuvers": [[one["kind"], one["status"]] for one in maneuvers],
-    }  # fmt: skip
+    }
 
 
 def scene_document(recording: Recording, looks: bytes | None = None) -> dict[str, Any]:
@@ -248,9 +249,11 @@ def _looks(path: Path, table: bytes | None, exported: Collection[str]) -> dict[s
             if row["track_id"] in exported:  # the others' ids in the simulation become those of exported tracks
                 values = [names.get(row[column], row[column]) or None for column in LOOK_COLUMNS]
                 found.setdefault(row["track_id"], []).append(
-                    [rounded(float(value)) if column in _NUMBERS and value else value
-                     for column, value in zip(LOOK_COLUMNS, values, strict=True)]
-                )  # fmt: skip
+                    [
+                        rounded(float(value)) if column in _NUMBERS and value else value
+                        for column, value in zip(LOOK_COLUMNS, values, strict=True)
+                    ]
+                )
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise ScenarioError(
             f"{path}: {one_line(str(error), most=200)}; expected the table of hid2 generate --record gaps, or no such "

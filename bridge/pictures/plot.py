@@ -166,8 +166,7 @@ def _cells(ax: Axes, time: FloatArray, scenario: Recording, view: LaneView) -> N
     colors = [figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
     number = len(colors)
     ax.set_prop_cycle(color=2 * colors, linestyle=["-"] * number + ["--"] * number)
-    borders = np.flatnonzero(np.diff(view.matches.lane)) + 1
-    for rows in np.split(np.arange(len(time)), borders):
+    for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(view.matches.lane)) + 1):
         lane = int(view.matches.lane[rows[0]])
         if lane < 0:
             continue

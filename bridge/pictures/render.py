@@ -90,8 +90,7 @@ def render_scene(
     drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=False)
     with beside(out_file) as hidden:
         drawing.scale(longest=GIF_WIDTH if suffix == ".gif" else None)
-        frames = drawing.frames(range(scenario.num_steps), on_frame)
-        _write_animation(frames, hidden, step_s=scenario.step_s)
+        _write_animation(drawing.frames(range(scenario.num_steps), on_frame), hidden, step_s=scenario.step_s)
     return out_file
 
 

@@ -122,8 +122,7 @@ def parquet_bytes(table: pa.Table) -> bytes:
         "pandas_version": "1.3.4",  # the version of the format, as in recorded files
     }
     sink = io.BytesIO()
-    told_table = table.replace_schema_metadata({"pandas": json.dumps(told_of_all)})
-    pq.write_table(told_table, sink, compression="snappy")
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(told_of_all)}), sink, compression="snappy")
     return sink.getvalue()
 
 

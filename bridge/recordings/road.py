@@ -269,8 +269,7 @@ def _written(
 
 def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:
     def line(lane: Lane, y: float) -> list[dict[str, float]]:
-        count = max(2, int((lane.end_m - lane.start_m) / _POINT_EVERY_M) + 1)
-        x = np.linspace(lane.start_m, lane.end_m, count)
+        x = np.linspace(lane.start_m, lane.end_m, max(2, int((lane.end_m - lane.start_m) / _POINT_EVERY_M) + 1))
         return [{"x": round(float(at), 2), "y": round(y, 2), "z": 0.0} for at in x]
 
     led_to: dict[int, list[int]] = {lane.lane_id: [] for lane in stretches}

@@ -70,8 +70,7 @@ def _check_index(table: pa.Table) -> Iterator[Breach]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         yield "columns", f"what pandas wrote about its index cannot be read ({error})"
         return
-    wanted = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
-    if index not in ([], [wanted]):
+    if index not in ([], [{"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}]):
         yield "columns", f"index {index}, expected a RangeIndex from 0 to {table.num_rows}"
 
 

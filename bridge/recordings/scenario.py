@@ -81,10 +81,9 @@ def recording_of(source: Source, rows: Rows, graph: LaneGraph, **more: Any) -> R
     """
     check_ground(rows.tracks, graph, str(source.path))
     assert source.map_path is not None
-    return Recording(
-        **{one.name: getattr(rows, one.name) for one in fields(rows)}, **more, graph=graph, folder=source.path,
-        map_path=source.map_path, split=source.split, format=source.format, start=source.start,
-    )  # fmt: skip
+    more |= {one.name: getattr(rows, one.name) for one in fields(rows)}
+    more |= {name: getattr(source, name) for name in ("map_path", "split", "format", "start")}
+    return Recording(graph=graph, folder=source.path, **more)
 
 
 def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:

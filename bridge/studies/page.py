@@ -54,8 +54,8 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     for key in keys if any_counted else ():
         never = sorted(set(requests[key]) - set(requests.loc[requests["counted"], key]), key=str)
         if never:
-            _LOG.warning("%s: no request was due at %s = %s; expected earlier trigger times, or longer scenes",
-                         out_dir, key, ", ".join(map(str, never)))  # fmt: skip
+            said = "%s: no request was due at %s = %s; expected earlier trigger times, or longer scenes"
+            _LOG.warning(said, out_dir, key, ", ".join(map(str, never)))
         told_as = _classes(requests[key])
         asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
         dose = dose_response(asked, looked, key, give_up_s=min(give_up_s), critical_ttc_s=Conflict().ttc_min_s)
@@ -66,9 +66,11 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=max(give_up_s))
     named = {
-        **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
+        **tables,
+        "gaps": gaps,
+        "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
         "critical_gaps": pd.DataFrame(critical),
-    }  # fmt: skip
+    }
     said_of = {name: ", ".join(columns).split(", ") for name, columns in DICTIONARY.items()}
     named |= {name: pd.DataFrame(columns=columns) for name, columns in said_of.items() if named[name].empty}
     written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY]
@@ -89,8 +91,7 @@ def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
     known = np.sort(values.unique())
     if len(known) <= _MOST_VALUES or not is_numeric_dtype(values):
         return {value: value for value in known.tolist()}
-    parts = np.array_split(known, _CLASSES)
-    return {value: float(f"{part.mean():.4g}") for part in parts for value in part.tolist()}
+    return {value: float(f"{part.mean():.4g}") for part in np.array_split(known, _CLASSES) for value in part.tolist()}
 
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
@@ -124,27 +125,28 @@ def draw_parameter(
     figure, axes = plt.subplots(2, 2, figsize=(9, 7), layout="constrained")
 
     within_s = dose.loc[dose["outcome"] == "mean_wait_s", "within_s"].min()
-    by_value = (
-        ("accepted, share", {"share_accepted": ("requests that got a gap", figures.BLUE),
-                             "gaps_accepted": ("gaps that the rule took", figures.SKY)}),
-        ("mean duration, s", {"mean_wait_s": (f"waiting, up to {within_s:g} s", figures.BLUE),
-                              "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
-        ("gaps refused, share, by",
-         {f"refused_by_{name}": (said, _COLORS[name]) for name, said in DECIDE.items()}),
-    )  # fmt: skip
-    for panel, (panel_title, outcomes) in zip(axes.flat, by_value, strict=False):
+    by_value = {
+        "accepted, share": {
+            "share_accepted": ("requests that got a gap", figures.BLUE),
+            "gaps_accepted": ("gaps that the rule took", figures.SKY),
+        },
+        "mean duration, s": {
+            "mean_wait_s": (f"waiting, up to {within_s:g} s", figures.BLUE),
+            "lateral_s": ("lateral motion, once accepted", figures.ORANGE),
+        },
+        "gaps refused, share, by": {f"refused_by_{name}": (said, _COLORS[name]) for name, said in DECIDE.items()},
+    }
+    for panel, (panel_title, outcomes) in zip(axes.flat, by_value.items(), strict=False):
         for outcome, (label, color) in outcomes.items():
             _dots(panel, dose, at, outcome, color, label)
-        top = 1.03 if "share" in panel_title else None
-        panel.set(title=panel_title, ylim=(0, top), xlabel=key)
+        panel.set(title=panel_title, ylim=(0, 1.03 if "share" in panel_title else None), xlabel=key)
         if panel.get_legend_handles_labels()[0]:  # no vehicle may have looked at a gap
             panel.legend(fontsize=8)
         if not numeric:
             panel.set_xticks(list(at.values()), [str(value) for value in values])
 
     survival, counted = axes[1, 1], requests[requests["counted"]]
-    colors = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(values)))
-    for value, color in zip(values, colors, strict=True):
+    for value, color in zip(values, plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(values))), strict=True):
         mine = counted[counted[key] == value]
         if len(mine):
             curve = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
@@ -190,7 +192,9 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         config=config,
         runs={"all": len(runs), "failed": int((runs["status"] != DONE).sum())},
         requests={
-            "all": len(requests), "counted": len(counted), "never": int((~due).sum()),
+            "all": len(requests),
+            "counted": len(counted),
+            "never": int((~due).sum()),
             "other": int((~requests["counted"] & due).sum()),
         },
         scenes=counted["scene"].nunique(),
@@ -212,7 +216,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         figures=drawn,
-    )  # fmt: skip
+    )
 
 
 def _rising(flow: pd.DataFrame) -> tuple[float, float] | None:

@@ -32,7 +32,7 @@ from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import MIDDLE, Driver
+from hid2.drivers.driver import MIDDLE
 from hid2.insertion.filling import Filling, Unmet
 from hid2.insertion.finalise import ExportedVehicle, as_exported, finalise, traffic_of_exported
 from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
@@ -127,25 +127,20 @@ def drawing_config(config: Config) -> Config:
     flow = config.flow.model_copy(update={"warm_up_s": 0.0})
     spawn = config.spawn.model_copy(update={"reseed_rounds": 1})  # a study may vary it
     change = LaneChange(min_duration_s=1.5, max_duration_s=15.0)  # as wide as may be: each run has its own
-    return Config(
-        request=request, grid=config.grid, spawn=spawn, lane_change=change, drivers=config.drivers, turn=config.turn,
-        limits=config.limits, smoothing=config.smoothing, flow=flow, without=config.without,
-    )  # fmt: skip
+    kept = {name: getattr(config, name) for name in ("grid", "drivers", "turn", "limits", "smoothing", "without")}
+    return Config(request=request, spawn=spawn, lane_change=change, flow=flow, **kept)
 
 
 def draw(prepared: PreparedScene, config: Config) -> Drawn:
     """Vehicles, drivers and sites for a `drawing_config`."""
-    scenario = prepared.scenario
-    scene = scene_of(scenario, config, prepared.grid)
-    seed = config.request.seed, 0, zlib.crc32(scenario.scenario_id.encode())
+    scene = scene_of(prepared.scenario, config, prepared.grid)
+    seed = config.request.seed, 0, zlib.crc32(prepared.scenario.scenario_id.encode())
     surroundings = Surroundings(scene)
     filling, count = Filling(surroundings, seed), config.request.agents
     assert count != "max"  # refused by `read_study`
     starts = filling.first_starts(count) if count else []
-    return Drawn(
-        scene=scene, starts=tuple(starts), unmet=tuple(filling.unmet),
-        arrivals=tuple(arrivals(scene, surroundings.routes, seed)), seed=seed,
-    )  # fmt: skip
+    comers = tuple(arrivals(scene, surroundings.routes, seed))
+    return Drawn(scene, starts=tuple(starts), unmet=tuple(filling.unmet), arrivals=comers, seed=seed)
 
 
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
@@ -154,24 +149,13 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
     if config.conflict.horizon_s > drawn.scene.config.conflict.horizon_s:
         scene = replace(scene, future=future_of(scene.traffic, config, step_s=scene.step_s))
     trigger_s, last_s = triggers(config, drawn), scene.last_s
-    starts = [
-        replace(
-            start, request=replace(start.request, trigger_s=trigger_s[start.request.number]),
-            driver=_with_duration(start.driver, config.lane_change),
-        )
-        for start in drawn.starts
-    ]  # fmt: skip
-    comers = [
-        replace(one, start=replace(one.start, driver=_with_duration(one.start.driver, config.lane_change)))
-        for one in drawn.arrivals
-    ]
+    asked = [replace(one.request, trigger_s=trigger_s[one.request.number]) for one in drawn.starts]
+    starts = [_as_in_run(replace(one, request=ask), config) for one, ask in zip(drawn.starts, asked, strict=True)]
+    comers = [replace(one, start=_as_in_run(one.start, config)) for one in drawn.arrivals]
     with prepared.simulation(config, drawn.seed) as simulation:
-        none = traffic_of_exported([], scene)
-        driving = FlowDriving(
-            Fleet(scene, starts, none, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
-            checked=False, arrivals=comers,
-            trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
-        )  # fmt: skip
+        fleet = Fleet(scene, starts, traffic_of_exported([], scene), Roads(scene), StopLines(scene), near_m=NEAR_M)
+        after_s = partial(trigger_after_s, request=config.request, seed=drawn.seed, duration_s=last_s)
+        driving = FlowDriving(fleet, simulation, checked=False, arrivals=comers, trigger_after_s=after_s)
         vehicles = driving.run()
     recorded: Sequence[Track] = prepared.scenario.tracks
     if driving.reactions is not None:
@@ -180,9 +164,11 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
     return _measured(scene, drawn, driving, vehicles, recorded, trigger_s)
 
 
-def _with_duration(driver: Driver, change: LaneChange) -> Driver:
-    """The same driver, with a lane change no shorter and no longer than the run allows."""
-    return replace(driver, lane_change_s=min(max(driver.lane_change_s, change.min_duration_s), change.max_duration_s))
+def _as_in_run(start: Start, config: Config) -> Start:
+    """The same start, with a lane change of its driver no shorter and no longer than the run allows."""
+    driver, change = start.driver, config.lane_change
+    lasts_s = min(max(driver.lane_change_s, change.min_duration_s), change.max_duration_s)
+    return replace(start, driver=replace(driver, lane_change_s=lasts_s))
 
 
 def triggers(config: Config, drawn: Drawn) -> dict[int, float]:
@@ -209,8 +195,7 @@ def _measured(
     simulated = {one.vehicle_id: _as_simulated(scene, one, entered_at[one.vehicle_id]) for one in moved}
     exported = _exported(scene, [vehicle for vehicle in vehicles if vehicle.vehicle_id not in driving.entered])
     tracks = [*recorded, *(one.track(vehicle_id, 1) for vehicle_id, one in simulated.items())]
-    lanes = flatten_lanes(scene.grid.graph)
-    states = agent_states(tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
+    states = agent_states(tracks, flatten_lanes(scene.grid.graph), num_steps=scene.num_steps, step_s=scene.step_s)
     arrays = states.arrays
     ttc_s, met = time_to_collision(arrays, cap_s=CAP_S)[0], conflicts(arrays)
     rows = []
@@ -224,10 +209,8 @@ def _measured(
         one = simulated.get(vehicle.vehicle_id)
         outcome = outcome_of(scene, one, simulated.values()) if one is not None and vehicle.shifts else None
         if outcome is not None:
-            row |= {
-                "status": outcome.status, "reason": None if outcome.reason is None else str(outcome.reason.value),
-                "start_s": outcome.start_s, "crossing_s": outcome.crossing_s, "end_s": outcome.end_s,
-            }  # fmt: skip
+            row |= {name: getattr(outcome, name) for name in ("status", "start_s", "crossing_s", "end_s")}
+            row["reason"] = None if outcome.reason is None else str(outcome.reason.value)
         if row["start_s"] is not None:
             first = round(row["start_s"] / scene.step_s)
             last = round((row["end_s"] or (entered + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
@@ -333,10 +316,8 @@ def _detectors(scene: Scene, driving: FlowDriving, states: AgentStates) -> list[
             there = (on_lane == lane) & (arrays.step >= begin) & (arrays.step < end)
             area = scene.grid.graph.lanes[lane].length_m / 1000.0 * (end - begin) * step_s / 3600.0  # km h
             flow, density = speed[there].sum() * step_s / 1000.0 / area, there.sum() * step_s / 3600.0 / area
-            waited = [
-                driving.waiting_s[one.vehicle_id] for one in driving.arrivals
-                if one.lane_id == lane and begin <= driving.entered.get(one.vehicle_id, -1) < end
-            ]  # fmt: skip
+            ids = [one.vehicle_id for one in driving.arrivals if one.lane_id == lane]
+            waited = [driving.waiting_s[one] for one in ids if begin <= driving.entered.get(one, -1) < end]
             rows.append({
                 "lane": lane, "from_s": rounded(begin * step_s), "to_s": rounded(end * step_s),
                 "flow_veh_per_h_lane": rounded(flow), "density_veh_per_km_lane": rounded(density),

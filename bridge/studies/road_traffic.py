@@ -283,12 +283,14 @@ class RoadTraffic:
         found = {side: largest_rejected(gaps, side) for side in ("lag", "lead")}
         ratios = {
             "flow_veh_per_h": (len(vehicles), (road.seconds - first_s) / 3600.0),
-            "speed_mps": (driven_m, len(counted) * road.step_s), "changes_per_vehicle": (every, len(left)),
+            "speed_mps": (driven_m, len(counted) * road.step_s),
+            "changes_per_vehicle": (every, len(left)),
             "changes_per_veh_km": (int(counted["change"].sum()), driven_m / 1000.0),
-            "missed_exits": (self.missed_exits, 1), "not_left": (len(vehicles) - len(left), 1),
+            "missed_exits": (self.missed_exits, 1),
+            "not_left": (len(vehicles) - len(left), 1),
             **{f"inconsistent_{side}": (one[2], 1) for side, one in found.items()},
             **dict(zip(road.from_lanes, zip(changes.tolist(), table.sum(axis=1).tolist(), strict=True), strict=False)),
-        }  # fmt: skip
+        }
         told = {"ratios": ratios, "start_to_end": table.to_numpy().tolist(), "cells": list(self._rates(counted))}
         return told | {
             side: [(r, a if a < np.inf else None) for r, a in zip(*one[:2], strict=True)] for side, one in found.items()

@@ -68,8 +68,7 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
     rows, place = np.unique(np.column_stack([waited_s[keep], accepted[keep]]), axis=0, return_inverse=True)
     curve = kaplan_meier(rows[:, 0], rows[:, 1], np.bincount(place.ravel(), weights[keep]).astype(np.float64))
     times = np.concatenate([[0.0], np.minimum(curve.surv_times, within_s), [within_s]])
-    level = np.concatenate([[1.0], curve.surv_prob])
-    return float((np.diff(times) * level).sum())
+    return float((np.diff(times) * np.concatenate([[1.0], curve.surv_prob])).sum())
 
 
 def observed_s(requests: pd.DataFrame, key: str, *, give_up_s: float) -> float:
@@ -189,9 +188,8 @@ def few_clusters_p(effects: FloatArray) -> float | None:
     if (np.abs(known) <= _SAME).all():
         return 1.0
     found = permutation_test(
-        (known,), lambda x, axis: x.mean(axis=axis), permutation_type="samples", vectorized=True, n_resamples=9999,
-        rng=np.random.default_rng(0),
-    )  # fmt: skip
+        (known,), np.mean, permutation_type="samples", vectorized=True, n_resamples=9999, rng=np.random.default_rng(0)
+    )
     return float(found.pvalue)
 
 
@@ -211,8 +209,7 @@ def seeds_needed(sd: float, difference: float) -> int:
 
 def difference_sd(requests: pd.DataFrame, key: str) -> tuple[float, int] | None:
     """SD over runs of a run's difference in the share accepted between a parameter's ends, and the runs; or None."""
-    counted = requests[requests["counted"]]
-    by_run = counted.groupby(["scene", "seed", key])["accepted"].mean().unstack(key)
+    by_run = requests[requests["counted"]].groupby(["scene", "seed", key])["accepted"].mean().unstack(key)
     apart = (by_run.iloc[:, -1] - by_run.iloc[:, 0]).dropna() if by_run.shape[1] > 1 else pd.Series(dtype=float)
     return (float(apart.std()), len(apart)) if len(apart) >= UNITS_LEAST else None
 

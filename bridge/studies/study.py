@@ -275,9 +275,8 @@ def _latin_hypercube(content: _File, path: Path) -> list[dict[str, Value]]:
         numbers = [bound for bound in bounds if isinstance(bound, int | float) and not isinstance(bound, bool)]
         if len(bounds) != 2 or len(numbers) != 2 or numbers[0] >= numbers[1]:
             raise ConfigError(f"{path}: vary.{key} = {bounds!r}, expected [low, high] with low < high")
-    unit = qmc.LatinHypercube(d=len(content.vary), rng=content.sample_seed).random(content.samples)
     points = []
-    for row in unit.tolist():
+    for row in qmc.LatinHypercube(d=len(content.vary), rng=content.sample_seed).random(content.samples).tolist():
         point: dict[str, Value] = {}
         for share, (key, (low, high)) in zip(row, content.vary.items(), strict=True):
             if isinstance(low, int) and isinstance(high, int):

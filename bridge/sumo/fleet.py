@@ -10,7 +10,7 @@ import numpy as np
 
 from bridge.sumo.poses import center_on_path
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.conflicts.guard import PRESENT, Braking, Guard, Obstacles, S
+from hid2.conflicts.guard import PRESENT, Braking, Guard, Obstacles, OwnMotion, S
 from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
@@ -134,8 +134,7 @@ class Fleet:
         vehicle.jumped_m.append(jumped_m)
         spans = vehicle.path.lateral_spans
         # executing goes before pending (conflict case 2): in a change of lanes or in a turn
-        lane = bisect_right(context.lane_ends, s, hi=context.lane_ends.size - 1)
-        turns = context.policies[lane] != STRAIGHT
+        turns = context.policies[bisect_right(context.lane_ends, s, hi=context.lane_ends.size - 1)] != STRAIGHT
         executing = (spans and spans[-1].begin < s < spans[-1].end) or turns
         self.along_m[row], self.centre[row] = s, _xy(vehicle)
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
@@ -255,20 +254,17 @@ class Fleet:
         )  # fmt: skip
 
     def braking(
-        self, row: int, path: DrivenPath, now: int, *, state: tuple[float, float, float], desired_mps: float,
-        horizon_s: float | None = None,
-    ) -> Braking:  # fmt: skip
+        self, row: int, path: DrivenPath, now: int, state: tuple[float, float, float], horizon_s: float | None = None
+    ) -> Braking:
         """What the guard predicts for a vehicle from a state (s m, v m/s, a m/s2) at step `now`, on any path.
 
         horizon_s: another one than `conflict.horizon_s`.
         """
-        driver = self.vehicles[row].start.driver
+        vehicle = self.vehicles[row]
         obstacles = self._without_those_that_yield(self.obstacles(row, path), row, path, now)
-        road = self.contexts[row].road if path is self.vehicles[row].path else self.roads.speeds(path, driver)
-        return self.guard.braking(
-            obstacles, own=row, step=now, fleet=self.state, state=state, desired_mps=desired_mps, road=road,
-            driver=driver, horizon_s=horizon_s,
-        )  # fmt: skip
+        road = self.contexts[row].road if path is vehicle.path else self.roads.speeds(path, vehicle.start.driver)
+        going = OwnMotion(state, float(vehicle.start.desired[now]), road, vehicle.start.driver)
+        return self.guard.braking(obstacles, going, now, self.state, own=row, horizon_s=horizon_s)
 
     def obstacles(self, row: int, path: DrivenPath) -> Obstacles:
         """All agents on a path for a vehicle; what is on its own one is worked out once."""

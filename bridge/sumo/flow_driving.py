@@ -89,9 +89,8 @@ class FlowDriving(FleetSimulation):
         driver, box = arrival.start.driver, arrival.start.box
         xy, forward, _ = arrival.start.path.line.motion(np.array([0.5 * box.length_m]))
         seen = gaps_from_pose(xy[0], forward[0], box, across)
-        room_m = driver.min_gap_m + driver.tau_s * driver.desired_mps
         beside = seen.aside_m < self.fleet.scene.config.conflict.margin_lateral_m
-        near = seen.gap_m < np.where(seen.along_m > 0.0, room_m, 0.0)
+        near = seen.gap_m < np.where(seen.along_m > 0.0, driver.min_gap_m + driver.tau_s * driver.desired_mps, 0.0)
         return not bool((beside & near & across.present[:, 0]).any())
 
     def _queue(self, arrival: Arrival, step: int) -> None:

@@ -79,8 +79,7 @@ def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Pa
         if recording is None:
             raise ConfigError(f"{scene}: a map alone, expected a scene: signals are inferred from its traffic")
         if (road := recording.folder / ROAD_FILE).is_file():
-            own = read_road(road).signals
-            shown = {lane_id: one.shown(recording.step_s) for lane_id, one in own.items()}.get
+            shown = {lane_id: one.shown(recording.step_s) for lane_id, one in read_road(road).signals.items()}.get
         else:
             shown = InferredSignals(graph, recording_states(recording), Signals()).shown
     step_s = STEP_S if recording is None else recording.step_s

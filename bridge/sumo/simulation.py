@@ -83,8 +83,7 @@ class Simulation:
             self._beside.cleanup()
             raise SimulationError(f"SUMO does not load the net: {error}") from error
         Simulation._running = True
-        edge = next(e for e in libsumo.edge.getIDList() if not e.startswith(":"))
-        libsumo.route.add("replay", [edge])
+        libsumo.route.add("replay", [next(e for e in libsumo.edge.getIDList() if not e.startswith(":"))])
         libsumo.simulation.saveState(f"{self._beside.name}/{_START}")
         return self
 

@@ -50,11 +50,10 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
     The road's, the guard's (predicted conflicts), and those of stop lines. rows: all that are `here`, or the last of
     these, where one before them has taken another way.
     """
-    guard = fleet.guard
     first, inputs = fleet.limit_inputs(now)
     return SpeedLimits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding,
-        guard.horizon, fleet.scene.step_s, guard.brakes, first[-rows.size - 1 :], *inputs,
+        fleet.guard.horizon, fleet.scene.step_s, fleet.guard.brakes, first[-rows.size - 1 :], *inputs,
     ))  # fmt: skip
 
 
@@ -97,9 +96,7 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
         road = fleet.roads.speeds(path, vehicle.start.driver)
         if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _FASTER_MPS:
             continue
-        found = fleet.braking(
-            row, path, now, state=(float(at[-1]), v, a), desired_mps=float(vehicle.start.desired[now])
-        )
+        found = fleet.braking(row, path, now, (float(at[-1]), v, a))
         edges = edges_along(scene, path, cell)
         if found.conflict_s is None and found.decel_mps2 < ACTS_MPS2 and edges:
             simulation.set_route(vehicle.vehicle_id, edges)
@@ -172,10 +169,7 @@ def _ask_sumo(fleet: Fleet, simulation: Simulation, row: int, now: int, across: 
     """Look along the way across for predicted conflicts, and ask SUMO for the lane change; or the reason not to."""
     scene, vehicle = fleet.scene, fleet.vehicles[row]
     if "collision" not in scene.config.without and scene.config.lane_change.safety != "rule":
-        meets = fleet.braking(
-            row, across.path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0),
-            desired_mps=float(vehicle.start.desired[now]), horizon_s=ACROSS_S,
-        )  # fmt: skip
+        meets = fleet.braking(row, across.path, now, (vehicle.s[-1], vehicle.v[-1], 0.0), ACROSS_S)
         if meets.forbids(vehicle.start.driver):  # ordinary braking does not solve it
             return Reason.CONFLICT_PREDICTED
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])

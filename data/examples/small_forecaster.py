@@ -49,10 +49,8 @@ class _Polylines(nn.Module):
 
     def forward(self, points: torch.Tensor, kinds: torch.Tensor) -> torch.Tensor:
         """One vector for each polyline."""
-        wide = torch.cat([points, kinds.unsqueeze(2).expand(-1, -1, points.shape[2], -1)], dim=-1)
-        each = self.first(wide)
-        whole = each.amax(dim=2, keepdim=True).expand_as(each)
-        return self.second(torch.cat([each, whole], dim=-1)).amax(dim=2)
+        each = self.first(torch.cat([points, kinds.unsqueeze(2).expand(-1, -1, points.shape[2], -1)], dim=-1))
+        return self.second(torch.cat([each, each.amax(dim=2, keepdim=True).expand_as(each)], dim=-1)).amax(dim=2)
 
 
 class VectorNet(nn.Module):

@@ -69,6 +69,18 @@ class Obstacles:
     lines: ClosedLines
 
 
+class OwnMotion(NamedTuple):
+    """How a vehicle goes on along a path by itself.
+
+    state: s m, v m/s, a m/s2; road (S,): m/s at the table of the path's line, what the road allows the driver.
+    """
+
+    state: tuple[float, float, float]
+    desired_mps: float
+    road: FloatArray
+    driver: Driver
+
+
 @dataclass(eq=False)
 class Guard:
     """Conflict case 3 of all vehicles that are driven together.
@@ -149,15 +161,17 @@ class Guard:
         )  # fmt: skip
 
     def braking(
-        self, obstacles: Obstacles, *, own: int, step: int, fleet: FloatArray, state: tuple[float, float, float],
-        desired_mps: float, road: FloatArray, driver: Driver, horizon_s: float | None = None,
-    ) -> Braking:  # fmt: skip
-        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets no agent within the horizon, s."""
-        scene, known, lines = self.scene, obstacles.known, obstacles.lines
+        self, obstacles: Obstacles, going: OwnMotion, step: int, fleet: FloatArray, *, own: int, horizon_s: float | None
+    ) -> Braking:
+        """Least braking from a step on, of row `own` of a fleet, that meets no agent within the horizon.
+
+        horizon_s: another one than `conflict.horizon_s`.
+        """
+        scene, known, lines, driver = self.scene, obstacles.known, obstacles.lines, going.driver
+        horizon = self.horizon if horizon_s is None else scene.steps_in(horizon_s)
         row, hit, *_, run_into = needed_braking(
             known.low, known.high, known.along, known.same_direction, lines.stops_m(driver), lines.closed,
-            obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road,
-            self.horizon if horizon_s is None else scene.steps_in(horizon_s), scene.step_s,
-            driver.following, self.brakes,
+            obstacles.swept, obstacles.rows, fleet, own, step, going.state, going.desired_mps, going.road, horizon,
+            scene.step_s, driver.following, self.brakes,
         )  # fmt: skip
         return Braking(float(self.brakes[row]), None if hit < 0 else hit * scene.step_s, bool(run_into))

@@ -218,8 +218,7 @@ def lane_offset(
     pace_mps: at which it drives about, as the wandering has a correlation time; usual: d m of the lanes' vehicles at
     arc lengths m; a driver goes from one to the next no quicker than it wanders.
     """
-    law = config.drivers
-    spacing = max(_OFFSET_SPACING_M, pace_mps * law.lateral_wander_time_s)
+    spacing = max(_OFFSET_SPACING_M, pace_mps * config.drivers.lateral_wander_time_s)
     count = max(4, int(length_m / spacing) + 3)
     knots = spacing * (np.arange(count) - rng.uniform())
     kept = float(np.exp(-1.0))

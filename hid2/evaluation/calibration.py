@@ -97,10 +97,8 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
     cruising = (free["speed_mps"] > _CRUISES * usual_mps) & (np.abs(free["accel_mps2"]) < _CRUISES_MPS2)
     ratio = _by_driver(free["agent"], np.log(free["speed_mps"] / usual_mps), np.median)
     time_gap = (seen["gap_m"] - prior.min_gap_mean_m) / seen["speed_mps"]
-    steady = (
-        (np.abs(seen["closing_mps"]) < _STEADY_MPS) & (np.abs(seen["accel_mps2"]) < _STEADY_MPS2) & (time_gap > 0.0)
-        & (seen["speed_mps"] > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
-    )  # fmt: skip
+    follows = (seen["speed_mps"] > _FOLLOWS_MPS) & (time_gap > 0.0) & (time_gap < _FOLLOWS_S)
+    steady = follows & (np.abs(seen["closing_mps"]) < _STEADY_MPS) & (np.abs(seen["accel_mps2"]) < _STEADY_MPS2)
     gaps = _by_driver(seen["agent"][steady], time_gap[steady], np.median)
     strongest = _by_driver(seen["agent"], seen["accel_mps2"], np.max)
     hardest = -_by_driver(seen["agent"], seen["accel_mps2"], np.min)

@@ -250,6 +250,5 @@ def policies(arrays: SceneArrays, maneuvers: Sequence[Maneuver]) -> dict[str, Po
     order, moving = list(BEHAVIOURS), np.flatnonzero(arrays.moving_vehicles)
     out = {arrays.track_ids[agent]: Policy.STRAIGHT for agent in moving}
     for maneuver in maneuvers:
-        seen = behaviour_seen(maneuver.kind).policy
-        out[maneuver.track_id] = max(out[maneuver.track_id], seen, key=order.index)
+        out[maneuver.track_id] = max(out[maneuver.track_id], behaviour_seen(maneuver.kind).policy, key=order.index)
     return out

@@ -77,8 +77,8 @@ def apart(feature: HistogramFeature, first: IntArray, second: IntArray) -> tuple
     p, q = (counts.reshape(feature.bins, FINE).sum(axis=1) for counts in (first, second))
     with np.errstate(invalid="ignore"):  # where rounding says less than 0
         diverging = float(np.nan_to_num(jensenshannon(p, q, base=2)))
-    width = (feature.high - feature.low) / (feature.bins * FINE)
     moved = np.cumsum(first) / first.sum() - np.cumsum(second) / second.sum()
+    width = (feature.high - feature.low) / (feature.bins * FINE)
     return diverging, float(np.abs(moved).sum() * width)
 
 

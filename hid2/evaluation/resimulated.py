@@ -121,9 +121,8 @@ def own_path(scene: Scene, one: TakenOut) -> DrivenPath:
 
 def _on(path: DrivenPath, position: FloatArray) -> tuple[float, float]:
     """Arc length and offset, m, of a place (2,) m on the line of a path."""
-    points = path.line.points
-    (s,), (d,) = Polyline(points).frenet(position[None])
-    return float(np.interp(s, arc_length(points), path.line.points_m)), float(d)
+    (s,), (d,) = Polyline(path.line.points).frenet(position[None])
+    return float(np.interp(s, arc_length(path.line.points), path.line.points_m)), float(d)
 
 
 def begin(

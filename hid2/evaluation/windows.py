@@ -94,16 +94,14 @@ def _of_track(view: LaneView, led: LaneLeaders, rows: IntArray, time: FloatArray
     middle, position = len(time) // 2, arrays.position[rows]
     fitted = np.einsum("kt,mtc->mkc", cubic, position)
     slope = np.einsum("tk,mkc->mtc", np.vander(time, 3, increasing=True) * np.array([1.0, 2.0, 3.0]), fitted[:, 1:])
-    pace = np.hypot(slope[..., 0], slope[..., 1])
-    along = slope / np.maximum(pace, 1e-9)[..., None]
+    along = slope / np.maximum(np.hypot(slope[..., 0], slope[..., 1]), 1e-9)[..., None]
     # a step along the fitted direction: the noise of both its ends goes out of the sum
     step = np.einsum("mtc,mtc->mt", np.diff(position, axis=1), 0.5 * (along[:, 1:] + along[:, :-1]))
     s = np.concatenate([np.zeros((len(rows), 1)), np.cumsum(step, axis=1)], axis=1)
     lane, d = matches.lane[rows], matches.d[rows]
     direction, leader = np.unwrap(matches.direction[rows], axis=1), led.agent[rows]
     same = (leader == leader[:, middle : middle + 1]) & (leader >= 0)
-    gap = np.where(same & np.isfinite(led.gap_m[rows]), led.gap_m[rows], 0.0)
-    line = _weighted_lines(gap, same, time)
+    line = _weighted_lines(np.where(same & np.isfinite(led.gap_m[rows]), led.gap_m[rows], 0.0), same, time)
     is_led = (same.mean(axis=1) >= _LED_SHARE) & (line[:, 0] < _LED_M)
     turns = (view.lanes.turn[np.maximum(lane, 0)] != 0).any(axis=1) | (np.ptp(direction, axis=1) > TURNS_RAD)
     found = np.zeros(len(rows), dtype=WINDOW)

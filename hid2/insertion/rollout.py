@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
-from hid2.conflicts.guard import Guard
+from hid2.conflicts.guard import Guard, OwnMotion
 from hid2.conflicts.signals import AMBER_S
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M, export_bounds
 from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
@@ -302,11 +302,9 @@ class World:
     def _meets_on(self, vehicle: DrivenVehicle, step: int, path: DrivenPath) -> bool:
         """Whether the guard would not let a vehicle go across on a path."""
         start, state = vehicle.start, (vehicle.s[-1], vehicle.v[-1], 0.0)
-        return self.guard.braking(
-            self.guard.obstacles(path, start.box, []), own=0, step=step, fleet=np.array([[*state, 0.0, 1.0]]),
-            state=state, desired_mps=float(start.desired[step]), road=self.roads.speeds(path, start.driver),
-            driver=start.driver, horizon_s=ACROSS_S,
-        ).forbids(start.driver)  # fmt: skip
+        going = OwnMotion(state, float(start.desired[step]), self.roads.speeds(path, start.driver), start.driver)
+        obstacles, fleet = self.guard.obstacles(path, start.box, []), np.array([[*state, 0.0, 1.0]])
+        return self.guard.braking(obstacles, going, step, fleet, own=0, horizon_s=ACROSS_S).forbids(start.driver)
 
     def rejection_reason(self, start: Start, parts: tuple[Rollout, ...], *, ends: bool = True) -> Reason | None:
         """Why a candidate is not taken; None for nothing.

@@ -83,9 +83,8 @@ class Bounds:
 
 def export_bounds(config: Config) -> Bounds:
     """The bounds of what is exported: a little inside those of a reader, so that no rounding brings it beyond them."""
-    conflict = config.conflict
     return Bounds(
-        config.limits, conflict, _SPARE_BOX_M, conflict.margin_lateral_m, _SPARE_END_S,
+        config.limits, config.conflict, _SPARE_BOX_M, config.conflict.margin_lateral_m, _SPARE_END_S,
         _DRIVABLE_KEPT, CURVATURE_KEPT, end_rows=0, by_stated=True,
     )  # fmt: skip
 

@@ -130,8 +130,7 @@ def outside_m(
     if not off.size:
         return out
     rings = shapely.linearrings(corners[off])
-    points = shapely.get_coordinates(shapely.segmentize(rings, _OUTLINE_STEP_M), return_index=True)
-    xy, box = points
+    xy, box = shapely.get_coordinates(shapely.segmentize(rings, _OUTLINE_STEP_M), return_index=True)
     far = ~shapely.contains_xy(graph.drivable, xy[:, 0], xy[:, 1])
     far[far] = ~shapely.dwithin(graph.drivable, shapely.points(xy[far]), tolerance_m)
     away = shapely.distance(graph.drivable, shapely.points(xy[far]))
@@ -164,8 +163,7 @@ def against_lane_deg(view: LaneView, rows: IntArray) -> tuple[FloatArray, FloatA
         s, d = one.path.frenet(position)
         beside = (s >= 0.0) & (s <= one.path.length_m) & (np.abs(d) <= lanes.half_width[k] + SLIVER_M)
         inside = beside & (np.abs(d) <= lanes.half_width[k])
-        off = np.abs(wrap_angle(np.stack([heading, direction]) - one.path.heading(s)))
-        turned = np.degrees(off.max(axis=0))
+        turned = np.degrees(np.abs(wrap_angle(np.stack([heading, direction]) - one.path.heading(s))).max(axis=0))
         least[beside] = np.minimum(least[beside], turned[beside])
         held |= inside
         if one.is_intersection:
@@ -346,12 +344,11 @@ def headways(states: AgentStates, led: LaneLeaders, beyond_m: FloatArray | float
 
     beyond_m (A,): by how much boxes of the states are longer, ahead, than exported.
     """
-    arrays = states.arrays
-    least = _too_short_headways(states, led, arrays.generated[np.maximum(led.agent, 0)], beyond_m)
+    least = _too_short_headways(states, led, states.arrays.generated[np.maximum(led.agent, 0)], beyond_m)
     recorded = recorded_headways(states) if least else {}
     for agent, (headway_s, at) in least.items():
         if recorded.get(agent, math.inf) > headway_s:
-            leader, step = int(led.agent[at]), int(arrays.step[at])
+            leader, step = int(led.agent[at]), int(states.arrays.step[at])
             yield _finding(states, (leader, agent), step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
 
 

@@ -59,16 +59,14 @@ def _line_ahead(stop_m: FloatArray, closed: BoolArray, s: float, v: float, step:
 
     A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
     """
-    hardest = _AMBER_RATIO * decel_mps2
     for row in range(stop_m.size):
         ahead = stop_m[row] - s
         if ahead < -_PASSED_M or not closed[row, min(step, closed.shape[1] - 1)]:
             continue
         if ahead > _LINES_WITHIN_M:
             return -1
-        if v * v > 2.0 * hardest * max(ahead, 0.05) and v > 1.0:
-            continue
-        return row
+        if v * v <= 2.0 * (_AMBER_RATIO * decel_mps2) * max(ahead, 0.05) or v <= 1.0:
+            return row
     return -1
 
 
@@ -130,6 +128,80 @@ def _ahead_within(low: FloatArray, high: FloatArray, s: float, begin: int, end: 
     return found[:count]
 
 
+@inner
+def _first_conflict(
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_m: FloatArray,
+    closed: BoolArray, swept: FloatArray, rows: IntArray, fleet: FloatArray, agents: IntArray, goes_first: BoolArray,
+    t: int, start: tuple[float, float, float], desired_mps: float, road: FloatArray, last: int, step_s: float,
+    driver: tuple[float, float, float, float], brakes: FloatArray, row: int,
+) -> tuple[int, bool, bool, int, float]:  # fmt: skip
+    """Steps from t to the first conflict of motion with one of `brakes`, -1 for none; arguments as `needed_braking`.
+
+    One long loop: in functions of its own, which numba does not inline, a rollout takes up to 1.9 times as long.
+    agents: rows of `low` that matter; goes_first (G,): whether each of `rows` does. Returns also whether the conflict
+    is with a leader, whether a known agent comes up from behind, and the generated leader and the gap to it, as there.
+    """
+    g_low, g_high, g_cos, _ = swept
+    s, v, a_cmd = start
+    tau, accel, decel, min_gap = driver
+    margin, hardest, dt = PET_MARGIN_M, _HARDEST_RATIO * decel, STRIDE * step_s
+    struck, leader, leader_gap = False, -1, np.inf
+    for k in range(last + 1):
+        now, ahead_s = min(t + k * STRIDE, low.shape[1] - 1), k * STRIDE * step_s
+        gap_least, closing, met, seen, is_leader = np.inf, 0.0, False, False, False
+        for a in agents:
+            lo, hi = low[a, now], high[a, now]
+            if lo == np.inf:
+                continue
+            gap, leads = gap_to(lo, hi, s)
+            if (lo < s < hi and k > 0) or (lo - margin < s < hi and k > 0 and not same_direction[a, now]):
+                if (same_direction[a, now] or along[a, now] > 1.0) and not leads:
+                    struck = True
+                    continue
+                met, is_leader = True, abs(along[a, now]) < 0.5  # it stands: brake as hard as is allowed
+                break
+            if same_direction[a, now] and leads and gap < gap_least:
+                gap_least, closing = gap, v - along[a, now]
+                seen = same_direction[a, t] and gap_to(low[a, t], high[a, t], start[0])[1]
+        if met:
+            return k * STRIDE, is_leader, struck, leader, leader_gap
+        for g in range(rows.size):
+            j = rows[g]
+            at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s) / SWEPT_STEP_M)
+            if fleet[j, 4] == 0.0 or at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
+                continue
+            lo, hi = g_low[g, at], g_high[g, at]
+            gap, leads = gap_to(lo, hi, s)
+            if g_cos[g, at] > SAME_WAY and (leads or gap >= 0.0):  # the one behind it has its driver
+                if leads and gap < gap_least and goes_first[g]:
+                    gap_least, closing = gap, v - fleet[j, 1] * g_cos[g, at]
+                    seen = _is_on(g_low[g], g_cos[g], fleet[j, 0])
+                    if k == 0:
+                        leader, leader_gap = j, gap
+            elif lo - 2 * margin < s < hi + 2 * margin and k > 0 and goes_first[g]:  # both move between looks
+                return k * STRIDE, False, struck, leader, leader_gap
+        wanted = min(desired_mps, road[min(int(s / TABLE_STEP_M), road.size - 1)])
+        a_next = max(-decel, accel * (1.0 - (v / max(wanted, 0.1)) ** 4))
+        if gap_least < 1e3:
+            star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
+            a_next = min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2))
+            # for a leader that it sees SUMO brakes by itself, in time
+            most = max(hardest, brakes[-1]) if seen else hardest
+            if a_next < -most and k > 0 and not (seen and start[1] < 0.1):
+                # one that appears ahead, or stands, asks for more than a driver would brake
+                return k * STRIDE, True, struck, leader, leader_gap
+            a_next = max(a_next, -most)
+        line = _line_ahead(stop_m, closed, s, v, now, decel)
+        if line >= 0:
+            a_next = min(a_next, _accel_towards_stop(stop_m[line] - s, v, accel, decel))
+        if row > 0:
+            a_cmd = max(min(a_cmd, 0.0) - _PREDICTED_JERK_MPS3 * STRIDE * step_s, -brakes[row])
+            a_next = min(a_next, a_cmd)
+        v_next = max(0.0, v + a_next * dt)
+        s, v = s + 0.5 * (v + v_next) * dt, v_next
+    return -1, False, struck, leader, leader_gap
+
+
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8,"
     " UniTuple(f8, 3), f8, f8[::1], i8, f8, UniTuple(f8, 4), f8[::1])"
@@ -142,93 +214,25 @@ def needed_braking(
 ) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) with which predicted motion meets no agent.
 
-    One long loop: in functions of its own, which numba does not inline, a rollout takes 1.9 times as long.
     low, high, along, same_direction (A, T): agents with a known future, as in `PathOccupancy`. stop_m (L,) m, closed
     (L, T): stop lines. swept (4, G, K): as in `Obstacles`, of rows (G,) of fleet (N, 5): s, v, a, executing, present.
     start: own s, v, a; driver: tau s, acceleration, deceleration m/s2, gap at standstill m. Returns (row of brakes,
     step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of the nearest
     generated leader or -1, gap to it m, whether some known agent comes up from behind).
     """
-    g_low, g_high, g_cos, g_own = swept
-    s0, v0, a0 = start
-    tau, accel, decel, min_gap = driver
-    margin, hardest = PET_MARGIN_M, _HARDEST_RATIO * decel
-    steps = low.shape[1]
-    best, best_step, free_step = 0, 0, -1
-    leader, leader_gap, run_into = -1, np.inf, False
-    last = horizon // STRIDE
-    agents = _ahead_within(low, high, s0, min(t, steps - 1), min(t + last * STRIDE, steps - 1) + 1)
+    last, steps = horizon // STRIDE, low.shape[1]
+    agents = _ahead_within(low, high, start[0], min(t, steps - 1), min(t + last * STRIDE, steps - 1) + 1)
     goes_first = np.empty(rows.size, dtype=np.bool_)
     for g in range(rows.size):
-        goes_first[g] = _has_priority(g_low[g], g_own[g], fleet, rows[g], own, s0)
+        goes_first[g] = _has_priority(swept[0, g], swept[3, g], fleet, rows[g], own, start[0])
+    best, best_step, free_step, leader, leader_gap, run_into = 0, 0, -1, -1, np.inf, False
     for row in range(brakes.size):
-        s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
-        for k in range(last + 1):
-            now = min(t + k * STRIDE, steps - 1)
-            ahead_s = k * STRIDE * step_s
-            gap_least, closing, met, seen = np.inf, 0.0, False, False
-            for a in agents:
-                lo = low[a, now]
-                if lo == np.inf:
-                    continue
-                hi = high[a, now]
-                gap, leads = gap_to(lo, hi, s)
-                if (lo < s < hi and k > 0) or (lo - margin < s < hi and k > 0 and not same_direction[a, now]):
-                    if (same_direction[a, now] or along[a, now] > 1.0) and not leads:
-                        struck = True
-                        continue
-                    met = True
-                    behind_leader = abs(along[a, now]) < 0.5  # it stands: brake as hard as is allowed
-                    break
-                if same_direction[a, now] and leads and gap < gap_least:
-                    gap_least, closing = gap, v - along[a, now]
-                    seen = same_direction[a, t] and gap_to(low[a, t], high[a, t], s0)[1]
-            if not met:
-                for g in range(rows.size):
-                    j = rows[g]
-                    if fleet[j, 4] == 0.0:
-                        continue
-                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s) / SWEPT_STEP_M)
-                    if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
-                        continue
-                    lo, hi = g_low[g, at], g_high[g, at]
-                    gap, leads = gap_to(lo, hi, s)
-                    if g_cos[g, at] > SAME_WAY and (leads or gap >= 0.0):  # the one behind it has its driver
-                        if leads and gap < gap_least and goes_first[g]:
-                            gap_least, closing = gap, v - fleet[j, 1] * g_cos[g, at]
-                            seen = _is_on(g_low[g], g_cos[g], fleet[j, 0])
-                            if k == 0 and row == 0:
-                                leader, leader_gap = j, gap
-                    elif lo - 2 * margin < s < hi + 2 * margin and k > 0 and goes_first[g]:  # both move between looks
-                        met = True
-                        break
-            if met:
-                hit = k * STRIDE
-                break
-            wanted = min(desired_mps, road[min(int(s / TABLE_STEP_M), road.size - 1)])
-            a_next = max(-decel, accel * (1.0 - (v / max(wanted, 0.1)) ** 4))
-            if gap_least < 1e3:
-                star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
-                a_next = min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2))
-                # for a leader that it sees SUMO brakes by itself, in time
-                most = max(hardest, brakes[-1]) if seen else hardest
-                if a_next < -most and k > 0 and not (seen and v0 < 0.1):
-                    hit = k * STRIDE  # a vehicle that appears ahead, or stands, asks for more than a driver would brake
-                    behind_leader = True
-                    break
-                a_next = max(a_next, -most)
-            line = _line_ahead(stop_m, closed, s, v, now, decel)
-            if line >= 0:
-                a_next = min(a_next, _accel_towards_stop(stop_m[line] - s, v, accel, decel))
-            if row > 0:
-                a_cmd = max(min(a_cmd, 0.0) - _PREDICTED_JERK_MPS3 * STRIDE * step_s, -brakes[row])
-                a_next = min(a_next, a_cmd)
-            dt = STRIDE * step_s
-            v_next = max(0.0, v + a_next * dt)
-            s += 0.5 * (v + v_next) * dt
-            v = v_next
+        hit, behind_leader, struck, ahead, gap = _first_conflict(
+            low, high, along, same_direction, stop_m, closed, swept, rows, fleet, agents, goes_first, t, start,
+            desired_mps, road, last, step_s, driver, brakes, row,
+        )  # fmt: skip
         if row == 0:
-            free_step = hit
+            free_step, leader, leader_gap = hit, ahead, gap
         if hit < 0:
             return row, -1, free_step, leader, leader_gap, struck
         if row == 0 or hit > best_step + STRIDE or (hit >= best_step and (behind_leader or not struck)):

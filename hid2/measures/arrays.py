@@ -115,22 +115,26 @@ class SceneArrays:
         """The agents of all, of the same scene, in this order: T is the same."""
         parts = {name: np.concatenate([getattr(one, name) for one in every]) for name in (*_BY_AGENT, *_BY_ROW)}
         return cls.of(
-            np.concatenate([one.rows_per_agent for one in every]), num_steps=every[0].num_steps,
+            np.concatenate([one.rows_per_agent for one in every]),
+            num_steps=every[0].num_steps,
             track_ids=tuple(name for one in every for name in one.track_ids),
             object_types=tuple(kind for one in every for kind in one.object_types),
-            step_s=every[0].step_s, **parts,
-        )  # fmt: skip
+            step_s=every[0].step_s,
+            **parts,
+        )
 
     def agents(self, chosen: Sequence[int]) -> "SceneArrays":
         """Some of the agents, in the order given."""
         rows = np.concatenate([np.arange(self.first[agent], self.first[agent + 1]) for agent in chosen])
         return SceneArrays.of(
-            self.rows_per_agent[list(chosen)], num_steps=self.num_steps,
+            self.rows_per_agent[list(chosen)],
+            num_steps=self.num_steps,
             track_ids=tuple(self.track_ids[one] for one in chosen),
-            object_types=tuple(self.object_types[one] for one in chosen), step_s=self.step_s,
+            object_types=tuple(self.object_types[one] for one in chosen),
+            step_s=self.step_s,
             **{name: getattr(self, name)[list(chosen)] for name in _BY_AGENT},
             **{name: np.ascontiguousarray(getattr(self, name)[rows]) for name in _BY_ROW},
-        )  # fmt: skip
+        )
 
     def mean_per_agent(self, values: FloatArray) -> FloatArray:
         """Mean of a row-wise quantity (N,) over each agent's rows: (A,)."""
@@ -153,8 +157,7 @@ def stack(
     # joined with nothing, so that no tracks are no special case
     step = np.concatenate([np.zeros(0, np.int64), *(track.timesteps for track in tracks)]).astype(np.int64)
     position = np.concatenate([np.zeros((0, 2)), *(track.position for track in tracks)])
-    starts = np.cumsum(counts) - counts
-    low, high = (ends.reduceat(position, starts, axis=0) for ends in (np.minimum, np.maximum))
+    low, high = (ends.reduceat(position, np.cumsum(counts) - counts, axis=0) for ends in (np.minimum, np.maximum))
     category = np.array([track.category for track in tracks], dtype=np.int64)
     return SceneArrays.of(
         counts,

@@ -75,8 +75,7 @@ def runs_of(view: LaneView, agent: int) -> list[LaneRun]:
     """Lanes in the order driven; short times off every lane are bridged, longer ones are runs of lane -1."""
     start, stop = int(view.arrays.first[agent]), int(view.arrays.first[agent + 1])
     lane = view.matches.lane[start:stop]
-    borders = np.flatnonzero(np.diff(lane)) + 1
-    edges = [0, *borders.tolist(), len(lane)]
+    edges = [0, *(np.flatnonzero(np.diff(lane)) + 1).tolist(), len(lane)]
     runs = [LaneRun(int(lane[a]), start + a, start + b - 1) for a, b in pairwise(edges)]
     short = round(_SHORT_OFF_S / view.arrays.step_s)
     return [run for run in runs if run.lane >= 0 or run.last - run.first + 1 > short]
@@ -85,8 +84,7 @@ def runs_of(view: LaneView, agent: int) -> list[LaneRun]:
 def source_path(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, tuple[int, ...]]:
     """The lane path that the vehicle leaves: its lanes so far, then those beside the lanes that it drives later."""
     chain = _chain_back(view, runs, k - 1)
-    beside = {n for run in runs[k:] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
-    return _path(view, chain, beside)
+    return _path(view, chain, {n for run in runs[k:] if run.lane >= 0 for n in _beside(view.lanes, run.lane)})
 
 
 def target_path(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, tuple[int, ...]]:
@@ -147,13 +145,11 @@ def _path(view: LaneView, chain: list[int], preferred: set[int]) -> tuple[Polyli
     """The polyline of `chain`, extended over preferred successors, else the straightest, by _PATH_AHEAD_M."""
     lanes, ahead = list(chain), 0.0
     while ahead < _PATH_AHEAD_M and len(lanes) < 100:
-        targets = view.lanes.successors[lanes[-1]]
-        wanted = [n for n in targets if n in preferred]
+        wanted = [n for n in view.lanes.successors[lanes[-1]] if n in preferred]
         following = wanted[0] if wanted else int(view.lanes.straight[lanes[-1]])
         if following < 0 or following in lanes:
             break
         lanes.append(following)
         ahead += float(view.lanes.length_m[following])
     points = np.concatenate([view.lanes.lane_points(lane) for lane in lanes])
-    keep = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
-    return Polyline(points[keep]), tuple(lanes)
+    return Polyline(points[np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])]), tuple(lanes)

@@ -126,18 +126,15 @@ def _distance_to_moving(arrays: SceneArrays, recorded: BoolArray) -> FloatArray:
             continue
         row = arrays.row_of[among][:, arrays.step[rows]]
         offset = arrays.position[row] - arrays.position[rows]
-        apart = np.where(row >= 0, np.hypot(offset[..., 0], offset[..., 1]), np.inf)
-        out[agent] = float(apart.min(initial=np.inf))
+        out[agent] = float(np.where(row >= 0, np.hypot(offset[..., 0], offset[..., 1]), np.inf).min(initial=np.inf))
     return out
 
 
 def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
     """(A,) vehicles with a swept path that crosses that of a moving agent of a kind at a PET below WITHIN_S."""
-    met = np.logical_or.reduce(list(masks.values()))
-    agents = np.flatnonzero(arrays.moving & met)
-    crossings = encroachments(arrays, cap_s=WITHIN_S, agents=agents, crossing_rad=CROSSING_RAD)
+    agents = np.flatnonzero(arrays.moving & np.logical_or.reduce(list(masks.values())))
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
-    for *pair, pet_s, _ in crossings:
+    for *pair, pet_s, _ in encroachments(arrays, cap_s=WITHIN_S, agents=agents, crossing_rad=CROSSING_RAD):
         for one, other in permutations(pair) if pet_s <= WITHIN_S - 1e-9 else ():
             for kind in Partner:
                 out[kind][one] |= bool(masks[kind][other] and arrays.vehicle[one])

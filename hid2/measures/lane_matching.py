@@ -177,8 +177,7 @@ def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tupl
     held = np.flatnonzero(np.abs(d[0, :count]) <= lanes.half_width[lane[0, :count]])
     if not held.size:
         return -1, 0.0, 0.0
-    turned = np.abs(wrap_angle(lanes.heading(lane[0, held], s[0, held]) - direction))
-    best = int(held[np.argmin(turned)])
+    best = int(held[np.argmin(np.abs(wrap_angle(lanes.heading(lane[0, held], s[0, held]) - direction)))])
     return int(lane[0, best]), float(s[0, best]), float(d[0, best])
 
 

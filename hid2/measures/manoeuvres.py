@@ -143,8 +143,7 @@ def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Ch
     smooth = lateral_speed(toward, time)
     first, started = _edge(smooth, known, at, -1, time)
     last, ended = _edge(smooth, known, at + 1, +1, time)
-    width = float(lanes.half_width[source] + lanes.half_width[target])
-    if toward[last] - toward[first] < width / 2:
+    if toward[last] - toward[first] < float(lanes.half_width[source] + lanes.half_width[target]) / 2:
         return None
     maneuver = Maneuver(
         track_id=arrays.track_ids[agent],

@@ -125,14 +125,12 @@ class AgentStates(LaneView):
             agent -= part.arrays.num_agents
         rows = self.row_span(agent)
         position, last = self.arrays.position[rows], rows.stop - 1
-        place = np.floor(arc_length(position) / _POINTS_M)
-        points = position[np.flatnonzero(np.diff(place, prepend=-1.0) > 0)]
+        points = position[np.flatnonzero(np.diff(np.floor(arc_length(position) / _POINTS_M), prepend=-1.0) > 0)]
         goes_on = int(self.matches.lane[last]), float(self.matches.s[last]), float(self.matches.d[last])
         if goes_on[0] >= 0:
             held = lane_along(self.lanes, position[-1], float(self.matches.direction[last]))
             goes_on = goes_on if held[0] < 0 else held
-        ahead = points_ahead(self.lanes, *goes_on, HORIZON_M, beyond_m=_POINTS_M)
-        points = np.concatenate([points, ahead])
+        points = np.concatenate([points, points_ahead(self.lanes, *goes_on, HORIZON_M, beyond_m=_POINTS_M)])
         if len(points) < 2:
             return None
         line = build_reference_line(points, step_m=_POINTS_M, min_radius_m=_RADIUS_M, max_offset_m=_STRAYS_M)

@@ -101,8 +101,5 @@ def path_occupancy(
 def look_along(line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float, since: int = 0) -> PathOccupancy:
     """Intervals of the agents, from row `since` on, that ever touch the line; width_m with all margins."""
     near, points = line.near(_NEAR_M)
-    others = (
-        traffic.position, traffic.heading, traffic.velocity, traffic.present, traffic.length_m, traffic.width_m,
-    )  # fmt: skip
-    found = intervals_on_path(points, line.table_heading, *near, length_m, width_m, *others, since)
-    return PathOccupancy(*found)
+    others = (traffic.position, traffic.heading, traffic.velocity, traffic.present, traffic.length_m, traffic.width_m)
+    return PathOccupancy(*intervals_on_path(points, line.table_heading, *near, length_m, width_m, *others, since))

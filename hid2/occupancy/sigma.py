@@ -32,15 +32,14 @@ class CellBoxes:
 
 def cell_boxes(grid: CellGrid) -> CellBoxes:
     """Boxes of all cells: chord of the stretch of centreline, and the lane's width."""
-    lanes = grid.graph.lanes
-    borders = [grid.borders[lane_id] for lane_id in lanes]
+    borders = [grid.borders[lane_id] for lane_id in grid.graph.lanes]
     start, end = np.concatenate([b[:-1] for b in borders]), np.concatenate([b[1:] for b in borders])
     chord = end - start
     return CellBoxes(
         center=(end + start) / 2,
         heading=np.arctan2(chord[:, 1], chord[:, 0]),
         length_m=np.hypot(chord[:, 0], chord[:, 1]),
-        width_m=np.repeat([lane.width_m for lane in lanes.values()], [len(b) - 1 for b in borders]),
+        width_m=np.repeat([lane.width_m for lane in grid.graph.lanes.values()], [len(b) - 1 for b in borders]),
     )
 
 

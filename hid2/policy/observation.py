@@ -39,6 +39,15 @@ class Inserted(NamedTuple):
     driven: Traffic
 
 
+class Foreseen(NamedTuple):
+    """A vehicle at arc length s m of a path at a step; speed_mps (M,): at steps to come, of which the last goes on."""
+
+    path: DrivenPath
+    s: float
+    step: int
+    speed_mps: FloatArray
+
+
 def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
     """Same-direction neighbour that a vehicle may change to: of a drivable type, and the marking allows it."""
     graph = scene.grid.graph
@@ -89,10 +98,7 @@ def lane_options(
         slower = front
         if front.speed_mps >= desired_mps:
             slower, _ = gaps_on(scene, target, box, at=at, inserted=inserted, below_mps=desired_mps)
-        option = LaneOption(
-            side=side, target=cell, cells_free=free, front=front, rear=rear, remaining_m=remaining,
-            corridor_m=min(remaining, slower.distance_m),
-        )  # fmt: skip
+        option = LaneOption(side, cell, free, front, rear, remaining, min(remaining, slower.distance_m))
         found.append((option, target))
     return found
 
@@ -163,33 +169,33 @@ def gap_to_passed(
 
 
 def lay_across(
-    scene: Scene, path: DrivenPath, target: DrivenPath, *, side: Side, s: float, step: int, speed_mps: FloatArray,
-    remaining_m: float, driver: Driver, ratio: float = 1.0,
+    scene: Scene, own: Foreseen, target: DrivenPath, *, side: Side, remaining_m: float, driver: Driver,
+    ratio: float = 1.0,
 ) -> DrivenPath | Reason:  # fmt: skip
-    """Path that shifts to `target`, on a side, from arc length s on, in the driver's time; or why there is none.
+    """Path that shifts to `target`, on a side, from where a vehicle is, in the driver's time; or why there is none.
 
-    speed_mps (M,): foreseen at the steps to come, of which the last one goes on; ratio: of the usual durations. The
-    motion is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
+    ratio: of the usual durations. The motion is no longer than the lane and the scene have room for, and no shorter
+    than the shortest duration.
     """
     change, step_s = scene.config.lane_change, scene.step_s
-    speeds = np.maximum(speed_mps, change.min_speed_mps)
+    speeds = np.maximum(own.speed_mps, change.min_speed_mps)
     driven = step_s * np.cumsum(speeds)
     beyond = max(0.0, _LENGTH_SHARE * remaining_m - float(driven[-1])) / float(speeds[-1])
     room_s = step_s * float(np.searchsorted(driven, _LENGTH_SHARE * remaining_m)) + beyond
-    time_left_s = _TIME_SHARE * (scene.num_steps - 1 - step) * step_s - _SPARE_S
-    motion, apart_m, along_m = None, 0.0, np.array([s])
+    time_left_s = _TIME_SHARE * (scene.num_steps - 1 - own.step) * step_s - _SPARE_S
+    motion, apart_m, along_m = None, 0.0, np.array([own.s])
     for _ in range(2):  # lanes may part: it is as far to the other one as it gets on the way
-        _, aside_m = target.frenet(path.line.position(along_m))
+        _, aside_m = target.frenet(own.path.line.position(along_m))
         apart_m = max(apart_m, float(np.abs(aside_m).max()))
         timing = LateralTiming.of(ratio * driver.lane_change_s, apart_m, change)
         over_s = timing.lasting_s - min(time_left_s, room_s)
         if over_s > 0.0:
             shorter_s = max(driver.lane_change_s - over_s / ratio, change.min_duration_s)
             timing = LateralTiming.of(ratio * shorter_s, apart_m, change)
-        motion = LateralMotion(path, target, timing, np.array([s]), np.zeros(1)).foreseen(speeds, step_s)
+        motion = LateralMotion(own.path, target, timing, np.array([own.s]), np.zeros(1)).foreseen(speeds, step_s)
         along_m = motion.along_m
     assert motion is not None
-    if motion.tau.size - 1 > scene.num_steps - 2 - step:
+    if motion.tau.size - 1 > scene.num_steps - 2 - own.step:
         return Reason.SCENE_ENDS
     if not _may_cross(scene, motion, side):
         return Reason.SOLID_LINE
@@ -217,11 +223,10 @@ def _cells_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[Cell | Non
 
 def _next_sigma(scene: Scene, cell: Cell, following: Cell | None, *, step: int, speed_mps: float) -> int:
     """Sigma of the cell after a cell, when the vehicle gets there; free where it does not within the scene."""
-    grid = scene.grid
-    steps = dwell_steps(cell_m=grid.length_m(cell), speed_mps=speed_mps, step_s=scene.step_s)
+    steps = dwell_steps(cell_m=scene.grid.length_m(cell), speed_mps=speed_mps, step_s=scene.step_s)
     if following is None or steps is None or step + steps >= scene.num_steps:
         return FREE
-    return int(scene.occupancy.sigma[step + steps, grid.index_of[following]])
+    return int(scene.occupancy.sigma[step + steps, scene.grid.index_of[following]])
 
 
 def _cells_free(scene: Scene, cells: tuple[Cell | None, ...], inserted: Inserted) -> bool:

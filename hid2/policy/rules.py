@@ -166,10 +166,9 @@ def name_of_rule(rule: Callable[..., object]) -> str:
 def check_user_rule(params: LaneChange) -> str:
     """As `try_rule`; returns the file of the function's module. Errors: ConfigError, also where there is none."""
     try_rule(params)
-    name = params.rule
-    file = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
+    file = getattr(sys.modules[params.rule.partition(":")[0]], "__file__", None)
     if file is None:
-        raise ConfigError(f"lane_change.rule = {name!r}: its module has no file, expected one of your own")
+        raise ConfigError(f"lane_change.rule = {params.rule!r}: its module has no file, expected one of your own")
     return str(file)
 
 
@@ -211,8 +210,7 @@ def place_in(error: BaseException | None, function: object, caller: str = __file
 
 def idm_mps2(speed_mps: float, ahead: Gap, view: GapView) -> float:
     """Acceleration of the driver in `view` by the intelligent driver model (Treiber, Hennecke, Helbing 2000), m/s2."""
-    desired = max(view.desired_mps, speed_mps, 0.1)
-    free = 1.0 - (speed_mps / desired) ** 4
+    free = 1.0 - (speed_mps / max(view.desired_mps, speed_mps, 0.1)) ** 4
     if math.isinf(ahead.distance_m):
         return view.accel_mps2 * free
     closing = speed_mps - ahead.speed_mps
@@ -233,8 +231,7 @@ def mobil_refusals(view: GapView, params: LaneChange) -> Iterator[Reason]:
     """
     if _is_agent_beside(view):
         yield Reason.CELLS_OCCUPIED
-    own = Gap(view.rear.distance_m, view.speed_mps)
-    follower_after = idm_mps2(view.rear.speed_mps, own, view)
+    follower_after = idm_mps2(view.rear.speed_mps, Gap(view.rear.distance_m, view.speed_mps), view)
     if math.isfinite(view.rear.distance_m) and follower_after < -params.mobil_safe_mps2:
         yield Reason.MOBIL_UNSAFE
     advantage = idm_mps2(view.speed_mps, view.front, view) - idm_mps2(view.speed_mps, view.own_front, view)

@@ -41,7 +41,7 @@ def test_each_item_comes_with_its_value_or_failure_in_its_place_whatever_is_done
     from faults import number
 
     items = [0, "slow", *range(2, 9), "segfault", *range(10, 14)]
-    each = list(work_on_each(number, items, shared="s", jobs=jobs, chunk=3, timeout_s=30))
+    each = list(work_on_each(number, items, "s", jobs=jobs, chunk=3, timeout_s=30))
     assert [item for item, _ in each] == items
     kinds = [found.kind if isinstance(found, Failure) else found[:2] for _, found in each]
     assert kinds == [{"slow": "exception", "segfault": "crashed"}.get(item, ("s", item)) for item in items]  # type: ignore[call-overload]
@@ -51,9 +51,9 @@ def test_each_item_comes_with_its_value_or_failure_in_its_place_whatever_is_done
 def test_work_that_needs_no_process_is_done_here_unless_several_share_it(jobs: int, count: int, is_here: bool) -> None:
     from faults import number
 
-    each = work_on_each(number, range(count), shared="s", jobs=jobs, chunk=4, timeout_s=30, isolated=False)
+    each = work_on_each(number, range(count), "s", jobs=jobs, chunk=4, timeout_s=30, isolated=False)
     assert {found[2] == os.getpid() for _, found in each if not isinstance(found, Failure)} == {is_here}
-    assert list(work_on_each(number, [], shared="s", jobs=jobs, chunk=4, timeout_s=30)) == []
+    assert list(work_on_each(number, [], "s", jobs=jobs, chunk=4, timeout_s=30)) == []
 
 
 def test_processes_listen_to_nothing_and_end_when_the_results_are_not_wanted_any_more() -> None:

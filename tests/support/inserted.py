@@ -15,7 +15,7 @@ from hid2.insertion.surroundings import Surroundings
 from hid2.motion.route import DrivenPath, Route
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
-from hid2.policy.observation import lay_across, target_path
+from hid2.policy.observation import Foreseen, lay_across, target_path
 from hid2.policy.overtake import Stage
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Shift, Start, VehicleRequest
@@ -93,11 +93,8 @@ def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: 
     s = vehicle.s[at_step]
     target = target_path(scene, start.path, to, s=s)
     side: Side = "left" if target.line.position(np.array([s]))[0, 1] > 0.0 else "right"
-    path = lay_across(
-        scene, start.path, target, side=side, s=s, step=at_step,
-        speed_mps=np.array([vehicle.v[at_step]]), remaining_m=200.0,
-        driver=replace(start.driver, lane_change_s=wanted_s),
-    )  # fmt: skip
+    own, driver = Foreseen(start.path, s, at_step, np.array([vehicle.v[at_step]])), start.driver
+    path = lay_across(scene, own, target, side=side, remaining_m=200.0, driver=replace(driver, lane_change_s=wanted_s))
     assert isinstance(path, DrivenPath), path
     vehicle.path, vehicle.stage = path, Stage.DONE
     vehicle.shifts.append(Shift(side, start.route[0], to, at_step, target))

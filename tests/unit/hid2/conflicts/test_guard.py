@@ -8,7 +8,7 @@ from hand_drawn import draw_lane, draw_road
 from inserted import CAR, DRIVER, nobody, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
-from hid2.conflicts.guard import Braking, Guard, transition_rejected
+from hid2.conflicts.guard import Braking, Guard, OwnMotion, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
 from hid2.kernels.guard import needed_braking
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL
@@ -21,15 +21,15 @@ CONFIG = Config(conflict=Conflict(horizon_s=4.0, brake_max_mps2=3.5, margin_late
 UP = np.pi / 2
 
 
-def look(*tracks: Track, s: float = 40.0, v: float = 10.0, step: int = 0, **more: Any) -> Braking:
+def look(*tracks: Track, s: float = 40.0, v: float = 10.0, step: int = 0) -> Braking:
     """What a vehicle on lane 1 (y = 0) has to do."""
     scene = scene_on(draw_road(), *tracks, config=CONFIG)
-    return _braking(scene, 1, [(s, v, 0.0, 0.0)], step=step, **more)
+    return _braking(scene, 1, [(s, v, 0.0, 0.0)], step=step)
 
 
 def _braking(
     scene: Scene, lane_id: int, fleet: list[tuple[float, float, float, float]], *, own: int = 0, step: int = 0,
-    lanes: tuple[int, ...] = (), **more: Any,
+    lanes: tuple[int, ...] = (),
 ) -> Braking:  # fmt: skip
     """fleet: s, v, a, executing of everybody driven, whose lanes are `lanes` (lane_id for all where it is empty)."""
     guard = Guard(scene, nobody(), StopLines(scene))
@@ -37,11 +37,8 @@ def _braking(
     paths = [scene.paths.along((lane,)) for lane in lanes or (lane_id,) * len(fleet)]
     others = [(row, paths[row], CAR) for row in range(len(fleet)) if row != own]
     state = np.array([[*one, 1.0] for one in fleet])
-    return guard.braking(
-        guard.obstacles(path, CAR, others), own=own, step=step, fleet=state,
-        state=(float(state[own, 0]), float(state[own, 1]), float(state[own, 2])), desired_mps=10.0,
-        road=np.full(path.line.table_xy.shape[0], np.inf), driver=DRIVER, **more,
-    )  # fmt: skip
+    going = OwnMotion(fleet[own][:3], 10.0, np.full(path.line.table_xy.shape[0], np.inf), DRIVER)
+    return guard.braking(guard.obstacles(path, CAR, others), going, step, state, own=own, horizon_s=None)
 
 
 def test_case_1_cell_held_by_an_original_agent_rejects_the_transition() -> None:

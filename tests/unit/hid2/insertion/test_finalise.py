@@ -13,7 +13,7 @@ from hid2.drivers.driver import LaneOffset
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.motion.route import DrivenPath
 from hid2.params import Config, Request
-from hid2.policy.observation import lay_across
+from hid2.policy.observation import Foreseen, lay_across
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
@@ -273,10 +273,8 @@ def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_l
     """From lane 1 to lane 2 at 10 m/s, 149 m after 10.9 s; ahead there 6 m/s from 93 m on: 4.9 m apart, 1.2 s."""
     scene = scene_of()
     start = start_on(scene, (1,), 40.0, 10.0)
-    across = lay_across(
-        scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=60.0, step=20,
-        speed_mps=np.array([10.0]), remaining_m=200.0, driver=start.driver,
-    )  # fmt: skip
+    own = Foreseen(scene.paths.along((1,)), 60.0, 20, np.array([10.0]))
+    across = lay_across(scene, own, scene.paths.along((2,)), side="left", remaining_m=200.0, driver=start.driver)
     assert isinstance(across, DrivenPath)
     changer = finalise(scene, replace(driven(start, np.full(110, 10.0)), path=across), [])
     assert isinstance(changer, ExportedVehicle)

@@ -14,6 +14,7 @@ from hid2.params import Config
 from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.lane_change import Gap, LaneOption
 from hid2.policy.observation import (
+    Foreseen,
     Inserted,
     admissible_neighbor,
     gap_to_passed,
@@ -238,12 +239,13 @@ def test_gap_to_a_passed_vehicle_is_one_behind_on_the_same_lane_or_beyond_the_ma
     assert gap_to(replace(stands, present=stands.present & until), 20) == np.inf
 
 
-def _across(scene: Scene, own: Route = (1,), other: Route = (2,), **changed: Any) -> DrivenPath | Reason:
+def _across(
+    scene: Scene, own: Route = (1,), other: Route = (2,), *, s: float = 40.0, remaining_m: float = 160.0
+) -> DrivenPath | Reason:
     """From 40 m on at 10 m/s within 4 s to the left."""
-    return lay_across(scene, scene.paths.along(own), scene.paths.along(other), **{
-        "side": "left", "s": 40.0, "step": 10, "speed_mps": np.array([10.0]), "remaining_m": 160.0,
-        "driver": replace(usual_driver(10.0), lane_change_s=4.0), **changed,
-    })  # fmt: skip
+    begin, driver = Foreseen(scene.paths.along(own), s, 10, np.array([10.0])), usual_driver(10.0)
+    target, driver = scene.paths.along(other), replace(driver, lane_change_s=4.0)
+    return lay_across(scene, begin, target, side="left", remaining_m=remaining_m, driver=driver)
 
 
 def test_path_across_ends_in_the_middle_of_the_other_lane() -> None:
