@@ -305,8 +305,7 @@ _SIGNS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "ma
 def _range(field: Mapping[str, Any]) -> str:
     """Bounds or choices of a field, in words."""
     if "anyOf" in field:
-        words = [_range(one) for one in field["anyOf"] if one.get("type") != "null"]
-        return ", or ".join(words).replace("text", "module:function")  # beside choices a text names one
+        return ", or ".join(_range(one) for one in field["anyOf"] if one.get("type") != "null")
     choices, kind = field.get("enum", [field["const"]] if "const" in field else []), field.get("type")
     if choices:
         return ", ".join(map(str, choices))
@@ -319,7 +318,7 @@ def _range(field: Mapping[str, Any]) -> str:
             return f"any of {_range(inner)}"
         return f"list of {_range(inner).replace('number', 'numbers')}{least}"
     if kind == "string":
-        return "text"
+        return str(field.get("examples", ["text"])[0])
     bounds = ", ".join(f"{sign} {field[name]:.10g}" for name, sign in _SIGNS.items() if name in field)
     return "true, false" if kind == "boolean" else f"{kind} {bounds}".strip()
 

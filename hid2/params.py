@@ -23,12 +23,12 @@ def _option(default: Any, unit: str, says: str, metavar: str, **more: Any) -> An
     return Field(default=default, json_schema_extra=extra, **more)
 
 
-_FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
+_FUNCTION = Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", examples=["module:function"])
 _OWN = r"[A-Za-z_][\w.]*:[A-Za-z_]\w*=(0?\.[0-9]+|[01](\.0*)?)"  # module:behaviour=share
 _ARGUMENT = r"[A-Za-z_]\w*=-?[0-9][0-9.e+-]*"
 #: What rules of the tool read of `lane_change.rule_with`, on roads without recorded agents.
 _READ_OF_RULE_WITH = {"paper": {"incentive"}, "MOBIL": set[str](), "LC2013": {"keep_right"}}
-_ARGUMENTS = rf"^({_ARGUMENT}(, *{_ARGUMENT})*)?$"
+_ARGUMENTS = Field(pattern=rf"^({_ARGUMENT}(, *{_ARGUMENT})*)?$", examples=["name=number, ..."])
 
 
 class _Section(BaseModel):
@@ -48,7 +48,7 @@ class Request(_Section):
     overtake: float = _param(0.05, "share", "policy mix", ge=0, le=1)
     own: str = _param(
         "", "-", "behaviours of your own with their shares: module:name=share, ... (bridge/generation/README.md)",
-        pattern=rf"^({_OWN}(, *{_OWN})*)?$", max_length=1000,
+        pattern=rf"^({_OWN}(, *{_OWN})*)?$", max_length=1000, examples=["module:name=share, ... (shares from 0 to 1)"],
     )  # fmt: skip
     trigger_min_s: float = _param(0.5, "s", "t_trigger, uniform from here", ge=0, le=60)
     trigger_max_s: Annotated[float, Field(ge=0, le=60)] | None = _param(
@@ -221,10 +221,10 @@ class LaneChange(_Section):
     max_duration_s: float = _param(6.0, "s", "longest lane change that a driver wants", ge=1.5, le=15)
     heading_deg: float = _param(9.5, "deg", "to the lane at most, so that slow vehicles take longer", gt=0, le=45)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
-    rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
+    rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, _FUNCTION] = _param(
         "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
     )
-    rule_with: Annotated[str, Field(pattern=_ARGUMENTS)] = _param(
+    rule_with: Annotated[str, _ARGUMENTS] = _param(
         "", "-", "arguments of a rule of your own, as 'b=1.0, lead=0.5'; a study varies them as rule.b"
     )
     safety: Literal["sumo", "guard", "rule"] = _param(

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -156,19 +157,17 @@ def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> No
 
 
 def label_offsets(axes: Axes, points: FloatArray, texts: Sequence[str], *, size: float) -> list[tuple[float, float]]:
-    """Where the lower left corner of each text is from its point (N, 2), in points, so that none overlaps another.
+    """Where the lower left corner of each text is from its point (N, 2), in points: in the axes, none over another.
 
     Axes must have been laid out; size: of the font.
     """
-    taken, found = np.zeros((0, 4)), []
+    (left, low), (right, top) = axes.bbox.get_points() * 72.0 / axes.figure.dpi
+    inf, found = np.inf, []  # a text that the edge cuts would be another id
+    taken = np.array([[-inf, -inf, left, inf], [right, -inf, inf, inf], [-inf, -inf, inf, low], [-inf, top, inf, inf]])
     for (x, y), text in zip(axes.transData.transform(points) * 72.0 / axes.figure.dpi, texts, strict=True):
         wide, high = 0.68 * size * max(map(len, text.split("\n"))), 1.25 * size * (text.count("\n") + 1)
-        beside = [
-            (dx, dy)
-            for far in np.arange(4.0, 200.0, 4.0)
-            for dx, dy in ((far, far), (far, -far - high), (-far - wide, far), (-far - wide, -far - high))
-        ]
-        for dx, dy in beside:
+        for far, ahead, above in itertools.product(np.arange(4.0, 200.0, 4.0), (True, False), (True, False)):
+            dx, dy = far if ahead else -far - wide, far if above else -far - high
             box = np.array([x + dx, y + dy, x + dx + wide, y + dy + high])
             if not ((box[:2] < taken[:, 2:]) & (taken[:, :2] < box[2:])).all(axis=1).any():
                 break

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from bridge.pictures import figures
 from bridge.recordings.recording import Recording
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, Track
 from hid2.evaluation.kinematics import motion
 from hid2.measures.arrays import stack
 from hid2.measures.driven_lanes import LaneView, first_lane_offset
@@ -44,7 +44,7 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     figures.style()
     figure = figures.ShownFigure(figsize=(9.5, 11.5), layout="constrained")
     axes = figure.subplots(6, 1, height_ratios=[2.2, 1, 1, 1, 1, 1])
-    _plan(axes[0], scenario, track.position, moments, time)
+    _plan(axes[0], scenario, track, moments, time)
     limits, moved = Limits(), motion(arrays)
     axes[1].plot(time, moved.speed_mps, color=figures.BLUE)
     axes[1].set(ylabel="speed, m/s", ylim=(0, max(1.0, float(moved.speed_mps.max()) * 1.15)))
@@ -102,11 +102,10 @@ def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[
     return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (": " + ", ".join(named) if named else "")
 
 
-def _plan(
-    ax: Axes, scenario: Recording, position: FloatArray, moments: list[tuple[str, float]], time: FloatArray
-) -> None:
+def _plan(ax: Axes, scenario: Recording, track: Track, moments: list[tuple[str, float]], time: FloatArray) -> None:
     figures.draw_map(ax, scenario.graph, cells=True)
-    ax.plot(position[:, 0], position[:, 1], color=figures.GENERATED, linewidth=1.6, zorder=5)
+    position, color = track.position, figures.FACES[figures.kinds_in(scenario)[track.track_id]]
+    ax.plot(position[:, 0], position[:, 1], color=color, linewidth=1.6, zorder=5)
     seconds = np.flatnonzero(np.isclose(time % 1.0, 0.0, atol=1e-6) | np.isclose(time % 1.0, 1.0, atol=1e-6))
     ax.plot(*position[seconds].T, ".", color=figures.BLACK, markersize=4, zorder=6)
     apart_m = _LABELS_APART * float(np.ptp(position, axis=0).max() + 20.0)

@@ -6,8 +6,10 @@ A sixth one is such a record in a module of a user's own, which `request.own` na
 import importlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from hid2.agents import Policy
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
@@ -22,6 +24,7 @@ from netconvert.lane_graph import SIDES, Side, TurnType
 class Behaviour:
     """One behaviour."""
 
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, revalidate_instances="always")
     policy: Policy
     label: str
     """As a reader would say it."""
@@ -92,6 +95,8 @@ BEHAVIOURS: dict[Policy, Behaviour] = {
 POLICY_OF_TURN: Mapping[TurnType, Policy] = {
     behaviour.turn: policy for policy, behaviour in BEHAVIOURS.items() if behaviour.turn is not None
 }
+#: What one of a user's own is seen as that is driven so: by its turn, None for a lane change.
+_DRIVEN = {one.turn: one.seen_as[:1] for one in BEHAVIOURS.values() if one.turn is not None or one.sides}
 _SEEN = {kind: behaviour for behaviour in BEHAVIOURS.values() for kind in behaviour.seen_as}
 
 
@@ -117,9 +122,9 @@ def is_shown(policy: Policy, states: AgentStates, seen: Maneuver) -> bool:
 def load_own(names: Collection[str]) -> dict[str, Policy]:
     """Import behaviours of a user's own, "module:name", so that they can be asked for; their policies by these names.
 
-    Errors: ConfigError for what cannot be imported, is no `Behaviour`, or has another name.
+    Errors: ConfigError for what cannot be imported, is no `Behaviour`, has another name, is not seen as driven.
     """
-    loaded = {}
+    loaded, record = {}, TypeAdapter(Behaviour)
     for name in names:
         module, _, policy = name.partition(":")
         try:
@@ -130,16 +135,14 @@ def load_own(names: Collection[str]) -> dict[str, Policy]:
         wanted = f"a Behaviour of Policy({policy!r}), which is none of the paper's"
         if not isinstance(found, Behaviour) or found.policy != policy or found.policy in tuple(Policy):
             raise ConfigError(f"request.own: {name!r} is {found!r:.200}, expected {wanted}")
-        if not found.seen_as or (found.turn is None) == (not found.sides):
-            raise ConfigError(f"request.own: {name!r}: expected seen_as, and either a turn or sides")
-        for field, kinds, is_sound in (
-            ("seen_as", tuple(ManeuverKind), all(isinstance(one, ManeuverKind) for one in found.seen_as)),
-            ("sides", SIDES, all(one in SIDES for one in found.sides)),
-            ("turn", tuple(TurnType), isinstance(found.turn, TurnType | None)),
-        ):
-            if not is_sound:
-                raise ConfigError(
-                    f"request.own: {name!r}: {field} = {getattr(found, field)!r:.100}, expected of {kinds}"
-                )
+        try:
+            record.validate_python(found)
+        except ValidationError as error:
+            first = error.errors()[0]
+            said = f"{first['loc'][0]} = {first['input']!r:.100}, {first['msg'].replace('Input should be', 'expected')}"
+            raise ConfigError(f"request.own: {name!r}: {said}") from error
+        if bool(found.sides) is (found.turn is not None) or found.seen_as[:1] != _DRIVEN.get(found.turn):
+            wanted = "sides and seen_as = (ManeuverKind.LANE_CHANGE,), or a turn and its kind"
+            raise ConfigError(f"request.own: {name!r}: expected {wanted}")
         BEHAVIOURS[found.policy], loaded[name] = found, found.policy
     return loaded

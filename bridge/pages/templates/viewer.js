@@ -53,7 +53,7 @@ function choose(agent, cell = null) {
 
 async function show(number, { time = 0, agent = null, beside = "" } = {}) {
   const scene = await open(number), { facts } = scene;
-  Object.assign(now, { scene, time: Math.min(time, scene.last * scene.step_s), playing: false, agent: null, cell: null, step: -1 });
+  Object.assign(now, { scene, time: Math.max(0, Math.min(time, scene.last * scene.step_s)), playing: false, agent: null, cell: null, step: -1 });
   $("panel").replaceChildren(), $("index").hidden = true, $("scene").hidden = $("tools").hidden = false, $("many").hidden = FACTS.length < 2;
   $("play").textContent = "▶", $("slider").max = scene.last;
   $("title").textContent = document.title = `${scene.city} ${short(scene.id)}: ${facts.recorded} ${scene.word}, ${facts.inserted} inserted`;

@@ -52,7 +52,7 @@ function cellNow(scene, number, step) {
 function agentPanel(scene, id) {
   const track = scene.byId.get(id), record = scene.record.get(id), { events = [] } = scene.said;
   const own = events.filter((one) => one.status === "done" && [one.track_id, one.target_track_id].includes(id));
-  return html`<h2>${chip(track.kind)}${id}</h2><p>${scene.kinds[track.kind]}${track.focal ? ", focal track" : ""};
+  return html`<h2>${chip(track.kind)}${id}</h2><p>${scene.kinds[track.kind]}${record && !(record.policy in SHARED.label) ? ` (${words(record.policy)})` : ""}${track.focal ? ", focal track" : ""};
 ${words(track.type)}, ${track.size[0]} × ${track.size[1]} m</p>
 ${(record?.maneuvers ?? []).map(maneuver)}${own.map((one) => html`<p><b>event ${words(one.kind)}</b> of ${linked(scene, one.track_id)} with
 ${linked(scene, one.target_track_id)} at ${fixed(one.at_s)} s${EVENT.filter(([key]) => one[key] !== null).map(([key, name, unit]) => `, ${name} ${fixed(one[key])} ${unit}`)}</p>`)}

@@ -52,10 +52,10 @@ def file(generated: list[Path], data_scenes: dict[str, Path], tmp_path_factory: 
 
 @pytest.fixture
 def opened(page: Page, file: Path, generated: list[Path]) -> Page:
-    """The page at the second generated scene, which has an event; nothing that an earlier test said is kept."""
+    """The page at the second generated scene, which has an event, by a link to a time before its first step."""
     page.errors.clear(), page.requests.clear()
     page.size(1600, 900)
-    page.open(file, f"#scene={generated[1].name}")
+    page.open(file, f"#scene={generated[1].name}&t=-3")
     page.until(f"now.scene && now.scene.id === '{generated[1].name}' && now.frames > 0")
     return page
 
@@ -266,9 +266,10 @@ def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, tmp_path: Pa
 def test_panel_tells_small_shares_and_which_gaps_are_which(opened: Page) -> None:
     """A share of .035, and looks at gaps to vehicles that may not be exported beside gaps of those exported."""
     assert "0.035" in opened.js("$('panel').textContent")
-    opened.js("choose(Object.keys(now.scene.looks)[0])")
+    opened.js("const [id] = Object.keys(now.scene.looks); now.scene.record.get(id).policy = 'keep_right'; choose(id)")
     opened.drawn()
     assert "As simulated, to vehicles that were not exported as well" in opened.js("$('panel').textContent")
+    assert "(keep right)" in opened.js("$('panel').textContent")  # the policy of a user's own
     assert opened.errors == []
 
 

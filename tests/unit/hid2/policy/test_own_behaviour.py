@@ -31,10 +31,10 @@ late = Behaviour(
     sides=("right", "left"),
     is_shown=lambda states, seen: seen.crossing_s > 4.0 and seen.track_id in states.arrays.track_ids,
 )
-nothing = Behaviour(Policy("nothing"), "nothing", "NO", (), Reason.MAP_OFFERS_NO_LANE, 5)
 other_name = keep_right
-upwards = Behaviour(Policy("upwards"), "up", "UP", late.seen_as, Reason.MAP_OFFERS_NO_LANE, 5, sides=("up",))
 told = Behaviour(Policy("told"), "told", "TO", ("lane_change",), Reason.MAP_OFFERS_NO_LANE, 5, sides=("left",))
+early = Behaviour(Policy("early"), "early", "EA", late.seen_as, late.no_map, "5", sides=("left",))
+passes = Behaviour(Policy("passes"), "passes", "PA", (ManeuverKind.OVERTAKE,), late.no_map, 5, sides=("left",))
 fails = Behaviour(
     Policy("fails"), "fails", "FA", late.seen_as, Reason.MAP_OFFERS_NO_LANE, 5, sides=("left",),
     is_shown=lambda states, seen: seen.nothing,
@@ -100,9 +100,9 @@ def test_scan_looks_for_an_own_behaviour(module: str, data_scenes: dict[str, Pat
         ("missing", "no attribute 'missing'"),
         ("number", "is 3, expected a Behaviour of Policy\\('number'\\)"),
         ("other_name", "expected a Behaviour of Policy\\('other_name'\\)"),
-        ("nothing", "expected seen_as, and either a turn or sides"),
-        ("upwards", "sides = \\('up',\\), expected of \\('left', 'right'\\)"),
-        ("told", "seen_as = \\('lane_change',\\), expected of"),
+        ("passes", "expected sides and seen_as = \\(ManeuverKind.LANE_CHANGE,\\)"),
+        ("told", "seen_as = 'lane_change', expected an instance of ManeuverKind"),
+        ("early", "site_order = '5', expected a valid integer"),
     ],
 )
 def test_what_is_no_behaviour_is_said(module: str, name: str, said: str) -> None:
