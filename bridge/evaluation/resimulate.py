@@ -113,7 +113,7 @@ class Resimulation:
         )  # fmt: skip
         roads, stop_lines, own = Roads(scene), StopLines(scene), [one.track.track_id for one in vehicles]
         paths = [own_path(scene, one) for one in vehicles]
-        moving = [one.speed_mps for one in vehicles if one.speed_mps > MOVES_MPS]
+        moving = [one.speed_mps for one in self.vehicles if one.speed_mps > MOVES_MPS]
         usual_mps = float(np.median(moving)) if len(moving) >= _PACE_OF else config.spawn.prior_speed_mps
         seed = [config.request.seed, zlib.crc32(" ".join([recording.scenario_id, *own]).encode())]
         with Simulation(
@@ -222,8 +222,8 @@ def resimulate_folders(
         said = f"; {failures[0][0]}: {failures[0][1]}" if failures else ""
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
-        others = [one.recorded for one in some if one is not scene]
-        pool = Features(*map(np.hstack, zip(*others, strict=True)))
+        others = [[part[:, :, : LAST + 1] for part in one.recorded] for one in some if one is not scene]
+        pool = Features(*map(np.hstack, zip(*others, strict=True)))  # recordings go on for different times
         rng = np.random.default_rng([plan.seed, zlib.crc32(scene.name.encode())])
         drawn = rng.integers(pool.values.shape[1], size=(plan.seeds, len(scene.driven)))
         scene.found["reference"] = likelihoods(scene.recorded, [pool.agents(rows) for rows in drawn])

@@ -1,4 +1,4 @@
-"""`hid2 resimulate` from the command line, on two of the synthetic scenes."""
+"""`hid2 resimulate` from the command line, on two of the synthetic scenes and a part of one."""
 
 import csv
 from collections.abc import Callable
@@ -14,11 +14,12 @@ HOW = ("--seeds", 2, "--write", 1)
 
 @pytest.fixture(scope="module")
 def scenes(data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
-    """Two, and one that is too short to be scored."""
+    """Two, one of 10 s, and one that is too short to be scored."""
     root = tmp_path_factory.mktemp("short")
-    short = copy_with_new_id(data_scenes["curve"], root / "short", "00000000-0000-4000-8000-000000000000")
-    edit_rows(short, lambda rows: rows[rows.timestep < 90])
-    return data_scenes["curve"], data_scenes["intersection"], short
+    short, shorter = (copy_with_new_id(data_scenes["curve"], root / n, f"{n * 8}-0000-4000-8000-{n * 12}") for n in "10")
+    edit_rows(short, lambda rows: rows[rows.timestep < 100])
+    edit_rows(shorter, lambda rows: rows[rows.timestep < 90])
+    return data_scenes["curve"], data_scenes["intersection"], short, shorter
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def test_every_scene_is_scored_beside_all_models_on_a_page_that_says_what_differ
     """Every vehicle is in the table; rollouts that are written are scenes."""
     of = {(row["scene"], row["model"]): float(row["sum"]) for row in rows(ended / "scores.csv")}
     names = {scene for scene, _ in of}
-    assert (len(names), len(of)) == (2, 2 * 5)
+    assert (len(names), len(of)) == (3, 3 * 5)
     assert all(0.0 < score <= 1.0 for score in of.values())
     assert all(of[scene, "log"] > of[scene, "calibrated"] for scene in names)
     vehicles = rows(ended / "vehicles.csv")
@@ -55,7 +56,7 @@ def test_every_scene_is_scored_beside_all_models_on_a_page_that_says_what_differ
         "at least 91",
     ):
         assert text in page
-    assert len(list((ended / "scenes").rglob("scenario_*.parquet"))) == 2
+    assert len(list((ended / "scenes").rglob("scenario_*.parquet"))) == 3
     result = hid2("view", ended / "scenes", "-o", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
 

@@ -47,7 +47,7 @@ def origins(root):
 
 def mixed(data_root, generated, **more):
     return {
-        "sources": {"recorded": (str(data_root),), "hid2": (str(generated),)},
+        "sources": {"recorded": (str(data_root), str(data_root / "train")), "hid2": (str(generated),)},  # some twice
         "split": {"val": 0.34},
         "sets": {"mix": {"take": {"recorded": "all", "hid2": "all"}}},
         "validation": {"recorded": {"take": {"recorded": "all"}}},
@@ -328,6 +328,8 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     }
     with pytest.raises(ConfigError, match=rf"is in two of the sources, {data_root}/\S+ and {tmp_path}/same/\S+; leave"):
         composed(twice | {"split": {"val": 0.0}}, tmp_path / "r")
+    with pytest.raises(ConfigError, match=r"in the sources 'data' and 'more'; leave it out of one"):
+        composed(twice | {"sources": source | {"more": (str(data_root),)}, "sets": values["sets"]}, tmp_path / "r")
 
 
 def test_a_file_and_the_command_line_say_the_same(data_root, generated, tmp_path):
