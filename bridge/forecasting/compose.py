@@ -93,6 +93,8 @@ def compose(
                 0, "no scene held out for val: all are of one place or recording; add scenes of others"
             )
     total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
+    if not total:
+        raise ConfigError(f"{root}: no scene in any data set, expected one at least: take more (a share can be none)")
     done = 0
     with explained(root):
         root.parent.mkdir(parents=True, exist_ok=True)

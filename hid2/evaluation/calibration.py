@@ -96,7 +96,8 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
     free, usual_mps = straight[is_free], _usual_mps(straight)[is_free]
     cruising = (free["speed_mps"] > _CRUISES * usual_mps) & (np.abs(free["accel_mps2"]) < _CRUISES_MPS2)
     ratio = _by_driver(free["agent"], np.log(free["speed_mps"] / usual_mps), np.median)
-    time_gap = (seen["gap_m"] - prior.min_gap_mean_m) / seen["speed_mps"]
+    jam_gap_m = float(np.median(standing_gap_m)) if len(standing_gap_m) >= LEAST else prior.min_gap_mean_m
+    time_gap = (seen["gap_m"] - jam_gap_m) / seen["speed_mps"]
     steady = (
         (np.abs(seen["closing_mps"]) < _STEADY_MPS) & (np.abs(seen["accel_mps2"]) < _STEADY_MPS2) & (time_gap > 0.0)
         & (seen["speed_mps"] > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
