@@ -134,12 +134,13 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
 
 
 def _usual_mps(seen: Windows) -> FloatArray:
-    """(M,) of each window what its scene's traffic drives: the median over drivers of the median speed of each."""
-    usual = np.ones(len(seen))
-    for scene in np.unique(seen["scene"]):
-        own = seen["scene"] == scene
-        usual[own] = max(1.0, float(np.median(_by_driver(seen["agent"][own], seen["speed_mps"][own], np.median))))
-    return usual
+    """(M,) of each window what its scene's traffic drives: the median over drivers of the median speed of each.
+
+    Drivers are numbered through all scenes.
+    """
+    number, first = np.unique(seen["scene"], return_inverse=True)[1], np.unique(seen["agent"], return_index=True)[1]
+    medians = _by_driver(seen["agent"], seen["speed_mps"], np.median)
+    return np.maximum(1.0, _by_driver(number[first], medians, np.median))[number]
 
 
 def drivers_of(found: Sequence[CalibratedQuantity]) -> dict[str, float]:
@@ -154,7 +155,9 @@ def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> CalibratedQ
 
 def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
     """(D,) one value a driver, in the order of their numbers."""
-    return np.array([pool(values[driver == one]) for one in np.unique(driver)], dtype=np.float64)
+    order = np.argsort(driver, kind="stable")
+    parts = np.split(values[order], np.flatnonzero(np.diff(driver[order])) + 1)
+    return np.array([pool(one) for one in parts if one.size], dtype=np.float64)
 
 
 def robust_sd(values: FloatArray) -> float:
