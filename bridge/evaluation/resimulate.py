@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
-from bridge.config import config_sha256, new_scenario_id
+from bridge.config import config_sha256, load_config, new_scenario_id
 from bridge.evaluation.calibrate import observe_scene, scenes_below
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained
@@ -202,6 +202,7 @@ def resimulate_folders(
         raise ConfigError(f"--write {plan.write}: of {plan.seeds} rollouts (--seeds), expected as many at most")
     if plan.write and (out / "scenes").exists():
         raise ConfigError(f"{out / 'scenes'}: is there already, expected a folder without it: choose another one")
+    load_config(flags={"request.seed": plan.seed})  # before anything is driven
     folders = [*scenes_below(paths).values()]
     if len(folders) < 2:
         there = f"{len(folders)} scene{'s' * (not folders)}"

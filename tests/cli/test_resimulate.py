@@ -59,6 +59,8 @@ def test_every_scene_is_scored_beside_all_models_on_a_page_that_says_what_differ
 def test_scenes_of_another_run_are_not_mixed_with_new_ones(hid2: Run, ended: Path, scenes: tuple[Path, ...]) -> None:
     result = hid2("resimulate", *scenes, "-o", ended, *HOW)
     assert (result.returncode, f"{ended / 'scenes'}: is there already" in result.stderr) == (2, True), result.stderr
+    result = hid2("resimulate", *scenes, "-o", ended / "new", "--seed", 2**31)
+    assert (result.returncode, "request.seed = 2147483648, expected" in result.stderr) == (2, True), result.stderr
 
 
 def test_same_request_gives_the_same_bytes_whatever_the_workers(
