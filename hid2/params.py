@@ -163,7 +163,7 @@ class Drivers(_Section):
     wander_sd_mps: float = _param(
         1.2,
         "m/s",
-        "SD of the desired speed's wandering (Ornstein-Uhlenbeck) and of the start speed; measured: 0.9 to 1.5",
+        "SD of the desired speed's wandering (Ornstein-Uhlenbeck) and of the start speed; measured: 0.9 to 1.9",
         ge=0,
         le=3,
     )

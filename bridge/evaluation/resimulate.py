@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
-from bridge.config import config_sha256, new_scenario_id
+from bridge.config import config_sha256, load_config, new_scenario_id
 from bridge.evaluation.calibrate import observe_scene, scenes_below
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained
@@ -112,7 +112,7 @@ class Resimulation:
         )
         roads, stop_lines, own = Roads(scene), StopLines(scene), [one.track.track_id for one in vehicles]
         paths = [own_path(scene, one) for one in vehicles]
-        moving = [one.speed_mps for one in vehicles if one.speed_mps > MOVES_MPS]
+        moving = [one.speed_mps for one in self.vehicles if one.speed_mps > MOVES_MPS]
         usual_mps = float(np.median(moving)) if len(moving) >= _PACE_OF else config.spawn.prior_speed_mps
         seed = [config.request.seed, zlib.crc32(" ".join([recording.scenario_id, *own]).encode())]
         law, parameters = config.car_following.model, {"sigma": 0.5} if model == "default" else model_parameters(config)
@@ -199,6 +199,7 @@ def resimulate_folders(
         raise ConfigError(f"--write {plan.write}: of {plan.seeds} rollouts (--seeds), expected as many at most")
     if plan.write and (out / "scenes").exists():
         raise ConfigError(f"{out / 'scenes'}: is there already, expected a folder without it: choose another one")
+    load_config(flags={"request.seed": plan.seed})  # before anything is driven
     folders = [*scenes_below(paths).values()]
     if len(folders) < 2:
         there = f"{len(folders)} scene{'s' * (not folders)}"
@@ -217,7 +218,8 @@ def resimulate_folders(
         said = f"; {failures[0][0]}: {failures[0][1]}" if failures else ""
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
-        pool = Features(*map(np.hstack, zip(*[one.recorded for one in some if one is not scene], strict=True)))
+        others = [[part[:, :, : LAST + 1] for part in one.recorded] for one in some if one is not scene]
+        pool = Features(*map(np.hstack, zip(*others, strict=True)))  # recordings go on for different times
         rng = np.random.default_rng([plan.seed, zlib.crc32(scene.name.encode())])
         drawn = rng.integers(pool.values.shape[1], size=(plan.seeds, len(scene.driven)))
         scene.found["reference"] = likelihoods(scene.recorded, [pool.agents(rows) for rows in drawn])

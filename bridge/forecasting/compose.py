@@ -93,6 +93,8 @@ def compose(
                 0, "no scene held out for val: all are of one place or recording; add scenes of others"
             )
     total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
+    if not total:
+        raise ConfigError(f"{root}: no scene in any data set, expected one at least: take more (a share can be none)")
     done = 0
     with explained(root):
         root.parent.mkdir(parents=True, exist_ok=True)
@@ -122,15 +124,17 @@ class _Pool:
     def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
         self._params, self._composition = Forecasting(), composition
         places = [(Path(place), name) for name, folders in composition.sources.items() for place in folders]
-        found = [(folder, name) for place, name in places for folder in find_scenarios(place)]
-        facts, self.unread = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
-        self.left_out, source_of, usable = [*self.unread], dict(found), []
+        source_of: dict[Path, str] = {}
+        for folder, name in ((folder, name) for place, name in places for folder in find_scenarios(place)):
+            if (other := source_of.setdefault(folder, name)) != name:  # one that comes twice in a source is one scene
+                raise ConfigError(f"{folder}: in the sources {other!r} and {name!r}; leave it out of one")
+        facts, self.unread = facts_of_scenes([*source_of], jobs=jobs, on_scene=tell)
+        self.left_out, usable = [*self.unread], []
         seen: dict[tuple[str, str], SourceScene] = {}
         for fact in facts:
             name = source_of[fact.folder]
-            other = seen.setdefault((name, fact.scenario_id), fact)
-            if other != fact:  # a folder that comes twice is one scene
-                raise ConfigError(f"{other.folder} and {fact.folder} are both {fact.scenario_id!r}; leave one out")
+            if (same := seen.setdefault((name, fact.scenario_id), fact)) is not fact:
+                raise ConfigError(f"{same.folder} and {fact.folder} are both {fact.scenario_id!r}; leave one out")
             if fact.steps < MAX_STEPS and not (composition.split.by == "folder" and split_of(fact.folder) == "test"):
                 self.left_out.append(f"{fact.folder}: {fact.steps} of {MAX_STEPS} steps, no future to learn or score")
             elif fact.kind == "generated" and not fact.inserted:

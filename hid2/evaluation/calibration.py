@@ -96,7 +96,8 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
     free, usual_mps = straight[is_free], _usual_mps(straight)[is_free]
     cruising = (free["speed_mps"] > _CRUISES * usual_mps) & (np.abs(free["accel_mps2"]) < _CRUISES_MPS2)
     ratio = _by_driver(free["agent"], np.log(free["speed_mps"] / usual_mps), np.median)
-    time_gap = (seen["gap_m"] - prior.min_gap_mean_m) / seen["speed_mps"]
+    jam_gap_m = float(np.median(standing_gap_m)) if len(standing_gap_m) >= LEAST else prior.min_gap_mean_m
+    time_gap = (seen["gap_m"] - jam_gap_m) / seen["speed_mps"]
     follows = (seen["speed_mps"] > _FOLLOWS_MPS) & (time_gap > 0.0) & (time_gap < _FOLLOWS_S)
     steady = follows & (np.abs(seen["closing_mps"]) < _STEADY_MPS) & (np.abs(seen["accel_mps2"]) < _STEADY_MPS2)
     gaps = _by_driver(seen["agent"][steady], time_gap[steady], np.median)
@@ -131,12 +132,13 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
 
 
 def _usual_mps(seen: Windows) -> FloatArray:
-    """(M,) of each window what its scene's traffic drives: the median over drivers of the median speed of each."""
-    usual = np.ones(len(seen))
-    for scene in np.unique(seen["scene"]):
-        own = seen["scene"] == scene
-        usual[own] = max(1.0, float(np.median(_by_driver(seen["agent"][own], seen["speed_mps"][own], np.median))))
-    return usual
+    """(M,) of each window what its scene's traffic drives: the median over drivers of the median speed of each.
+
+    Drivers are numbered through all scenes.
+    """
+    number, first = np.unique(seen["scene"], return_inverse=True)[1], np.unique(seen["agent"], return_index=True)[1]
+    medians = _by_driver(seen["agent"], seen["speed_mps"], np.median)
+    return np.maximum(1.0, _by_driver(number[first], medians, np.median))[number]
 
 
 def drivers_of(found: Sequence[CalibratedQuantity]) -> dict[str, float]:
@@ -151,7 +153,9 @@ def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> CalibratedQ
 
 def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
     """(D,) one value a driver, in the order of their numbers."""
-    return np.array([pool(values[driver == one]) for one in np.unique(driver)], dtype=np.float64)
+    order = np.argsort(driver, kind="stable")
+    parts = np.split(values[order], np.flatnonzero(np.diff(driver[order])) + 1)
+    return np.array([pool(one) for one in parts if one.size], dtype=np.float64)
 
 
 def robust_sd(values: FloatArray) -> float:

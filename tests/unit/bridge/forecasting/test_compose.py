@@ -47,7 +47,7 @@ def origins(root):
 
 def mixed(data_root, generated, **more):
     return {
-        "sources": {"recorded": (str(data_root),), "hid2": (str(generated),)},
+        "sources": {"recorded": (str(data_root), str(data_root / "train")), "hid2": (str(generated),)},  # some twice
         "split": {"val": 0.34},
         "sets": {"mix": {"take": {"recorded": "all", "hid2": "all"}}},
         "validation": {"recorded": {"take": {"recorded": "all"}}},
@@ -215,7 +215,7 @@ def test_scenes_held_out_that_no_validation_takes_are_told(data_root, tmp_path, 
 
 def test_min_agents_counts_in_all_or_at_the_observations_end(data_root, tmp_path):
     """The arterial has 26 tracks, 25 of them at the observation's end; the others have 22 and 21, and 21 and 20."""
-    for counted, bound, expected in (("all", 26, 1), ("observed", 26, 0), ("observed", 25, 1), ("all", 22, 2)):
+    for counted, bound, expected in (("all", 26, 1), ("observed", 22, 1), ("all", 22, 2), ("observed", 21, 2)):
         values = {
             "sources": {"data": (str(data_root),)},
             "split": {"val": 0.0},
@@ -328,6 +328,8 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     }
     with pytest.raises(ConfigError, match=rf"is in two of the sources, {data_root}/\S+ and {tmp_path}/same/\S+; leave"):
         composed(twice | {"split": {"val": 0.0}}, tmp_path / "r")
+    with pytest.raises(ConfigError, match=r"in the sources 'data' and 'more'; leave it out of one"):
+        composed(twice | {"sources": source | {"more": (str(data_root),)}, "sets": values["sets"]}, tmp_path / "r")
 
 
 def test_a_file_and_the_command_line_say_the_same(data_root, generated, tmp_path):
@@ -353,4 +355,6 @@ def test_a_file_and_the_command_line_say_the_same(data_root, generated, tmp_path
         ConfigError, match=r"scenes: 4 of 'source-0' \(.*\) asked for, 3 are there .*; ask for fewer, or"
     ):
         compose(composition_of_sources([f"{data_root}:4", str(generated)]), tmp_path / "many")
+    with pytest.raises(ConfigError, match="no scene in any data set, expected one at least"):
+        compose(composition_of_sources([f"{data_root}:0.1"]), tmp_path / "a tenth of three")
     assert json.loads((tmp_path / "a" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}
