@@ -66,13 +66,9 @@ def test_crossing_is_at_the_border_where_it_is_crossed():
     first = draw_lane(1, [(0, 0), (200, 0)], left=2, width_m=4.0)
     second = draw_lane(2, [(0, 4), (200, 4)], right=1, width_m=4.0)
     border = np.array([[0.0, 2.6], [50.0, 1.5], [200.0, 1.5]])
-    graph = LaneGraph(
-        {
-            1: replace(first, left_boundary=border, right_boundary=first.sides[1]),
-            2: replace(second, left_boundary=second.sides[0], right_boundary=border),
-        }
-    )
-    (found,) = seen(graph, along(20 + 10 * TIME, shift(3.0, 6.0, width=4.0)))
+    first = replace(first, left_boundary=border, right_boundary=first.sides[1])
+    second = replace(second, left_boundary=second.sides[0], right_boundary=border)
+    (found,) = seen(LaneGraph({1: first, 2: second}), along(20 + 10 * TIME, shift(3.0, 6.0, width=4.0)))
     assert found.crossing_s == pytest.approx(5.60, abs=0.02)
 
 
