@@ -231,7 +231,7 @@ class LaneGraph:
                 if reason:
                     dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, reason))
                 else:
-                    stated.append(((self.lanes[target].neighbor_id(_OTHER[side]) != lane_id), lane_id, side, target))
+                    stated.append((self.lanes[target].neighbor_id(_OTHER[side]) != lane_id, lane_id, side, target))
         # Links that both lanes state come first, so that a one-sided claim never displaces one of them.
         neighbors: dict[Side, dict[int, int]] = {"left": {}, "right": {}}
         for _, lane_id, side, target in sorted(stated):

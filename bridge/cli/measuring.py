@@ -256,8 +256,8 @@ def paper(
 
         asked = {"variants": plan.variants, "val_share": plan.val, "updates": plan.updates}
         params = Forecasting.model_validate({name: value for name, value in asked.items() if value is not None})
-        training, brought = TrainingPlan(plan.seeds or 3, agents, plan.focal, params), (plan.composed, plan.predictions)
-        page = run_prediction(scenes, out, training, *brought, jobs=jobs, on_step=activity.step)
+        training = TrainingPlan(plan.seeds or 3, agents, plan.focal, params)
+        page = run_prediction(scenes, out, training, plan.composed, plan.predictions, jobs=jobs, on_step=activity.step)
     else:
         from bridge.evaluation.paper import run_experiment
 

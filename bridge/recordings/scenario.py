@@ -81,9 +81,9 @@ def recording_of(source: Source, rows: Rows, graph: LaneGraph, **more: Any) -> R
     """
     check_ground(rows.tracks, graph, str(source.path))
     assert source.map_path is not None
-    more |= {one.name: getattr(rows, one.name) for one in fields(rows)}
-    more |= {name: getattr(source, name) for name in ("map_path", "split", "format", "start")}
-    return Recording(graph=graph, folder=source.path, **more)
+    own = {one.name: getattr(rows, one.name) for one in fields(rows)}
+    given = {name: getattr(source, name) for name in ("map_path", "split", "format", "start")}
+    return Recording(**own, **more, **given, graph=graph, folder=source.path)
 
 
 def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:

@@ -1,5 +1,6 @@
 """The lanes that a vehicle drives, as runs and as polylines: what manoeuvres are measured against."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -151,5 +152,12 @@ def _path(view: LaneView, chain: list[int], preferred: set[int]) -> tuple[Polyli
             break
         lanes.append(following)
         ahead += float(view.lanes.length_m[following])
-    points = np.concatenate([view.lanes.lane_points(lane) for lane in lanes])
-    return Polyline(points[np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])]), tuple(lanes)
+    return line_of(view.lanes, lanes), tuple(lanes)
+
+
+def line_of(lanes: FlatLanes, path: Sequence[int], side: int = 0) -> Polyline:
+    """The middle of lanes in a row, or their border on a side: +1 left, -1 right."""
+    sides = (lanes.graph.lanes[int(lanes.lane_ids[one])].sides for one in path)
+    parts = [ground[side < 0] for ground in sides] if side else [lanes.lane_points(one) for one in path]
+    points = np.concatenate(parts)
+    return Polyline(points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)])

@@ -17,8 +17,8 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray
-from hid2.measures.driven_lanes import LaneRun, LaneView, runs_of, source_path, target_path
-from hid2.measures.lane_matching import CHANGES_LANES, FlatLanes
+from hid2.measures.driven_lanes import LaneRun, LaneView, line_of, runs_of, source_path, target_path
+from hid2.measures.lane_matching import CHANGES_LANES
 from netconvert.geometry import Polyline, slopes
 from netconvert.lane_graph import TURN_RAD
 
@@ -125,13 +125,11 @@ def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Ch
     """Measure the change from run k - 1 to run k; None where it does not meet the definition."""
     arrays, lanes = view.arrays, view.lanes
     source, target = runs[k - 1].lane, runs[k].lane
-    left, left_lanes = source_path(view, runs, k)
-    _, joined_lanes = target_path(view, runs, k)
+    (left, leaves), (_, joins) = source_path(view, runs, k), target_path(view, runs, k)
     start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
-    position = arrays.position[start:stop]
     time = np.asarray(arrays.step[start:stop] * arrays.step_s, dtype=np.float64)
     side = 1 if np.median(left.frenet(lanes.lane_points(target))[1]) > 0.0 else -1
-    lateral, known = _lateral(position, _border(lanes, left_lanes, side), _border(lanes, joined_lanes, -side))
+    lateral, known = _lateral(arrays.position[start:stop], line_of(lanes, leaves, side), line_of(lanes, joins, -side))
     switch = runs[k].first - start
     if not known[max(0, switch - 1)] or not known[switch]:
         return None
@@ -157,13 +155,7 @@ def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Ch
         complete=started and ended,
         ended=ended,
     )
-    return _Change(maneuver, source, start + at, left, left_lanes)
-
-
-def _border(lanes: FlatLanes, path: tuple[int, ...], side: int) -> Polyline:
-    """The border of lanes in a row on a side, +1 left."""
-    points = np.concatenate([lanes.graph.lanes[int(lanes.lane_ids[one])].sides[side < 0] for one in path])
-    return Polyline(points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)])
+    return _Change(maneuver, source, start + at, left, leaves)
 
 
 def _lateral(position: FloatArray, source: Polyline, target: Polyline) -> tuple[FloatArray, BoolArray]:

@@ -124,7 +124,7 @@ def load_own(names: Collection[str]) -> dict[str, Policy]:
 
     Errors: ConfigError for what cannot be imported, is no `Behaviour`, has another name, is not seen as driven.
     """
-    loaded, record = {}, TypeAdapter(Behaviour)
+    loaded = {}
     for name in names:
         module, _, policy = name.partition(":")
         try:
@@ -136,7 +136,7 @@ def load_own(names: Collection[str]) -> dict[str, Policy]:
         if not isinstance(found, Behaviour) or found.policy != policy or found.policy in tuple(Policy):
             raise ConfigError(f"request.own: {name!r} is {found!r:.200}, expected {wanted}")
         try:
-            record.validate_python(found)
+            TypeAdapter(Behaviour).validate_python(found)
         except ValidationError as error:
             first = error.errors()[0]
             said = f"{first['loc'][0]} = {first['input']!r:.100}, {first['msg'].replace('Input should be', 'expected')}"

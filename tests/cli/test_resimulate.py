@@ -49,8 +49,8 @@ def test_every_scene_is_scored_beside_all_models_on_a_page_that_says_what_differ
     vehicles = rows(ended / "vehicles.csv")
     assert all((row["driven"] == "True") == (row["why_not"] == "") for row in vehicles)
     page = (ended / "resimulation.html").read_text()
-    for text in ("WOSAC-like", "What differs from the challenge", "calibrated / reference", "at least 91"):
-        assert text in page
+    said = "WOSAC-like", "What differs from the challenge", "calibrated / reference", "constant velocity", "at least 91"
+    assert all(text in page for text in said)
     assert len(list((ended / "scenes").rglob("scenario_*.parquet"))) == 3
     result = hid2("view", ended / "scenes", "-o", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
