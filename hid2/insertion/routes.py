@@ -80,7 +80,8 @@ class Routes:
             return True
         kind = BEHAVIOURS[policy].turn
         if kind is not None:
-            return any(offer.turns and offer.turns[0][0] is kind for offer in self.offers(lane_id))
+            first = (one.turns[0] for one in self.offers(lane_id) if one.turns and one.turns[0][2] < one.length_m)
+            return any(turn is kind for turn, _, _ in first)  # where the map ends with it none is seen
         if policy is Policy.OVERTAKE:
             return any(self.together(offer, side) is not None for offer in self.offers(lane_id) for side in SIDES)
         needed_m = self.scene.config.lane_change.min_remaining_m

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -37,6 +38,9 @@ USUAL_HEADWAY_S = 1.3
 _WANTED_TRIES = 8
 #: Vehicles of a policy without a site for a situation, after which a round looks for that situation no more.
 _IN_VAIN = 2
+#: Times that the cells of a manoeuvre are gone through, each time with other places and drivers, at most. Not a
+#: parameter, it saves time: there are few of them.
+_PASSES = 3
 #: Situations without the speed for a lane change: behind what brakes or stands.
 _SLOWS = frozenset({Situation.BRAKES, Situation.STANDS})
 #: Share of the usual speed at which a vehicle must not leave the map too early. Not a parameter, it saves time.
@@ -172,7 +176,8 @@ class InsertionSites:
         wants: sites are those from which something of it would be met; what goes straight meets it by its rollout.
         """
         scene, starts, tried = self.here.scene, self.starts, 0
-        for cell, lane_m in self._places(request, wants):
+        passes = 1 if request.policy is Policy.STRAIGHT or wants else _PASSES
+        for cell, lane_m in chain.from_iterable(self._places(request, wants) for _ in range(passes)):
             usual_mps = scene.usual_speed(cell.lane_id)
             offer = next((
                 one for one in self._order(request, cell, wants)
@@ -266,7 +271,7 @@ class InsertionSites:
         reach, ahead = s + speed_mps * duration, [one for one in offer.turns if one[2] > s]
         turn = BEHAVIOURS[request.policy].turn
         if turn is not None:
-            if not ahead or ahead[0][0] is not turn:
+            if not ahead or ahead[0][0] is not turn or ahead[0][2] >= offer.length_m:
                 return False
             _, begin, end = ahead[0]
             if not strict:

@@ -255,11 +255,11 @@ class Starts:
         found = world.rejection_reason(start, parts)
         if found is not None:
             return found
+        shown_m = min(float(parts[-1].s[-1]), parts[-1].path.exit_m - 0.5 * start.size.length_m)
         if vehicle is not None:
             if self._waits_astride(parts[-1]):
                 return Reason.TOO_SLOW
             spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
-            shown_m = min(float(parts[-1].s[-1]), vehicle.path.exit_m - 0.5 * start.size.length_m)
             if shown_m < vehicle.path.lateral_spans[-1].end + spare_m:
                 return Reason.SCENE_ENDED
         kind = BEHAVIOURS[policy].turn
@@ -267,10 +267,10 @@ class Starts:
             turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_m)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
-            last_m, last = float(parts[-1].s[-1]), scene.num_steps - 1
-            if last_m < turn.end + _TURNED_M:
-                room_m = self.world.guard.stop_lines.on(start.path, start.box).room_m(last_m, last, start.driver)
-                return Reason.WAITS_AT_LINE if room_m < turn.end - last_m else Reason.SCENE_ENDED
+            if shown_m < turn.end + _TURNED_M:
+                lines, last = self.world.guard.stop_lines.on(start.path, start.box), scene.num_steps - 1
+                room_m = lines.room_m(shown_m, last, start.driver)
+                return Reason.WAITS_AT_LINE if room_m < turn.end - shown_m else Reason.SCENE_ENDED
         return parts
 
     def _waits_astride(self, part: Rollout) -> bool:
