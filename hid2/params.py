@@ -348,7 +348,7 @@ class Limits(_Section):
 class Smoothing(_Section):
     """Frenet smoothing: s(t), d(t) piecewise cubics."""
 
-    filter_s: float = _param(0.3, "s", "SD of the Gaussian that takes SUMO's steps out of the speed", gt=0, le=2)
+    filter_s: float = _param(0.15, "s", "SD of the Gaussian that takes SUMO's steps out of the speed", gt=0, le=2)
 
 
 Band = tuple[float, float]
