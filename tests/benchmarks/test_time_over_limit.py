@@ -199,11 +199,9 @@ def summary(timings: Sequence[Timing]) -> str:
 @pytest.mark.benchmark
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("agents", sorted(MOST))
-def test_scene_takes_few_times_its_limit(agents: int, shared_data: Path) -> None:
-    folders = [folder for name in ("av2", "wide") for folder in find_scenarios(shared_data / name)]
-    assert len(folders) == 14
-    warm_up(folders[0])
-    timings = [measure(folder, str(agents), 0) for folder in folders]
+def test_scene_takes_few_times_its_limit(agents: int, fourteen_scenes: list[Path]) -> None:
+    warm_up(fourteen_scenes[0])
+    timings = [measure(folder, str(agents), 0) for folder in fourteen_scenes]
     print("\n" + "\n".join([_HEAD, *map(_row, timings), summary(timings)]))
     median, worst, driven = MOST[agents]
     assert statistics.median(one.over for one in timings) <= median

@@ -33,7 +33,6 @@ from hid2.reasons import Reason
 #: Reasons that a record, a rejection or a replacement may name: `hid2.reasons` and nothing else.
 REASONS = {reason.value for reason in Reason}
 read_once = cache(read_scenario)
-SLOW_NAMES = ("arterial", "curve")
 
 
 @cache
@@ -85,17 +84,6 @@ def test_vehicles_that_enter_a_real_scene_break_no_rule(real_scenes: list[Path],
     entered = [(agent, track) for agent, track in pairs if agent.spawn.timestep > 0]
     assert entered or folder.name.startswith("00a0ec58")
     assert all(agent.policy is Policy.STRAIGHT and track.category == 1 for agent, track in entered)
-
-
-@pytest.mark.parametrize("name", ["intersection", *(pytest.param(k, marks=pytest.mark.slow) for k in SLOW_NAMES)])
-def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scenes: dict[str, Path], name: str) -> None:
-    config = Config(request=Request(agents=10, entering=1.0, seed=1))
-    prepared = prepare(read_once(data_scenes[name]), config)
-    for variant in range(2):
-        scene = generate(prepared, config, variant=variant)
-        assert check_generated(scene) == []
-        assert any(track.timesteps[0] > 0 for track in scene.generated)
-        assert len(scene.generated) == 10
 
 
 def test_ten_asked_for_are_ten_placed_every_request_has_its_record_and_algorithm_1_decides_at_every_step(

@@ -249,21 +249,6 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(monkeypatc
     assert len(filling.kept) == 12
 
 
-def test_request_keeps_its_trigger_when_its_vehicle_is_replaced() -> None:
-    """Lane changes at 1 to 8 s, of which none comes about: three rounds try each, with one trigger."""
-    scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=8.0)
-    filling, drive = _fill(scene)
-    triggers: dict[int, set[float]] = {}
-    for start in (start for starts in drive.rounds for start in starts if start.request.policy is Policy.LANE_CHANGE):
-        triggers.setdefault(start.request.number, set()).add(start.request.trigger_s)
-    assert triggers
-    assert all(len(one) == 1 for one in triggers.values())
-    assert len({trigger for one in triggers.values() for trigger in one}) == len(triggers)
-    assert {one.reason for one in filling.rejected if one.vehicle.policy is Policy.LANE_CHANGE} == {
-        Reason.DID_NOT_DO_IT
-    }
-
-
 def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reached() -> None:
     """Vehicles that are to change lanes are not safe. After three rounds straight ones take the places; each request is
     told of.

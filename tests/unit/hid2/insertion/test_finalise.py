@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road
+from hand_drawn import draw_lane, draw_road, graph_of
 from inserted import CAR, changing, driven, recorded, scene_on, start_on
 
 from hid2.agents import BoxSize, Track
@@ -16,8 +16,6 @@ from hid2.params import Config, Request
 from hid2.policy.observation import Foreseen, lay_across
 from hid2.reasons import Reason
 from hid2.scene import Scene
-from hid2.vehicle import DrivenVehicle
-from netconvert.lane_graph import LaneGraph
 
 T = 0.1 * np.arange(110)
 
@@ -52,13 +50,6 @@ def test_vehicle_alone_is_exported_as_it_was_driven() -> None:
     assert track.velocity == pytest.approx(np.column_stack([np.full(110, 10.0), np.zeros(110)]), abs=1e-6)
     assert found.simulated_off_m == pytest.approx(np.zeros(110), abs=1e-9)
     assert found.min_ttc_s == np.inf
-
-
-def test_what_sumo_objected_to_is_the_reason() -> None:
-    scene = scene_of()
-    vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.paths.along((1,)))
-    vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
-    assert finalise(scene, vehicle, []) is Reason.SUMO_REFUSES_INSERTION
 
 
 def test_track_ends_where_the_rear_of_the_map_is_not_left_behind() -> None:
@@ -109,8 +100,8 @@ def test_footprint_beside_the_road_is_off_road() -> None:
 
 
 def test_road_too_narrow_for_it_is_off_road() -> None:
-    ring = np.array([(0.0, -0.5), (300.0, -0.5), (300.0, 0.5), (0.0, 0.5), (0.0, -0.5)])
-    graph = LaneGraph({1: draw_lane(1, [(0.0, 0.0), (300.0, 0.0)])}, drivable_areas=(ring,))
+    ground = [(0.0, -0.5), (300.0, -0.5), (300.0, 0.5), (0.0, 0.5)]
+    graph = graph_of(draw_lane(1, [(0.0, 0.0), (300.0, 0.0)]), ground=ground)
     assert _alone(scene_on(graph), np.full(110, 10.0)) is Reason.OFF_ROAD
 
 
@@ -181,9 +172,9 @@ def test_crossing_below_the_critical_pet_is_named(at_s: float, is_critical: bool
 
 def test_lane_of_a_damaged_map_that_turns_back_on_itself_is_not_driven() -> None:
     """The middle goes 1.2 m back at x = 90; the smoothed line goes on and runs against it there."""
-    ring = np.array([(-20.0, -9.0), (320.0, -9.0), (320.0, 9.0), (-20.0, 9.0), (-20.0, -9.0)])
-    lanes = {1: draw_lane(1, [(0.0, 0.0), (90.0, 0.0), (88.8, 0.1), (300.0, 0.0)])}
-    assert _alone(scene_on(LaneGraph(lanes, drivable_areas=(ring,))), np.full(110, 10.0)) is Reason.AGAINST_LANE
+    lane = draw_lane(1, [(0.0, 0.0), (90.0, 0.0), (88.8, 0.1), (300.0, 0.0)])
+    graph = graph_of(lane, ground=[(-20.0, -9.0), (320.0, -9.0), (320.0, 9.0), (-20.0, 9.0)])
+    assert _alone(scene_on(graph), np.full(110, 10.0)) is Reason.AGAINST_LANE
 
 
 @pytest.mark.parametrize(("gap_m", "avoids"), [(20.0, False), (30.0, True)])
@@ -257,8 +248,7 @@ def test_without_smoothing_the_grid_path_is_exported() -> None:
     angle = np.linspace(0.0, np.pi, 120)
     bend = 30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
     outer = 34.0 * np.column_stack([np.sin(angle), -np.cos(angle)]) + [0.0, 30.0]
-    ring = np.concatenate([outer, [[0.0, 30.0]], outer[:1]])
-    graph = LaneGraph({1: draw_lane(1, bend)}, drivable_areas=(ring,))
+    graph = graph_of(draw_lane(1, bend), ground=[*outer, [0.0, 30.0]])
     scene = scene_on(graph, config=Config(without=frozenset({"smoothing"})))
     found = _kept(scene, np.full(110, 6.0), 10.0)
     radius = np.hypot(*(found.trajectory.position - [0.0, 30.0]).T)
@@ -318,15 +308,6 @@ def test_who_is_met_depends_on_when_a_vehicle_enters(steps: range, met_by: int) 
         found = _alone(scene, np.full(110 - step, 10.0), 20.0, step=step)
         assert (found is Reason.MEETS_RECORDED) is (step == met_by)
         assert isinstance(found, ExportedVehicle) is (step != met_by)
-
-
-def test_ttc_to_a_leader_is_that_of_the_steps_driven() -> None:
-    """A leader at 5 m/s, at x = 20 at step 0, slows nobody down who comes in at step 40, 20 m behind it, at 5 m/s; from
-    step 0 on, 12.5 m behind it bumper to bumper at 10 m/s, it is reached after 2.5 s.
-    """
-    scene = scene_of(recorded(20.0, 0.0, 5.0))
-    assert isinstance(_alone(scene, np.full(70, 5.0), 20.0, step=40), ExportedVehicle)
-    assert _alone(scene, np.full(110, 10.0), 3.0) is Reason.MEETS_RECORDED
 
 
 @pytest.mark.parametrize(("step", "found"), [(0, Reason.LEAVES_TOO_EARLY), (20, None), (45, Reason.LEAVES_TOO_EARLY)])
