@@ -34,14 +34,13 @@ def test_start_delay_after_the_trigger(generated, tmp_path):
     assert len(delays) >= 10
     assert delays.min() >= -1e-9
     at_once = float((delays <= 0.1 + 1e-9).mean())
-    said = (
-        f"Of {len(delays)} manoeuvres that began, {at_once:.0%} began within a step of their trigger; none before it."
-    )
+    said = f"Of {len(delays)} manoeuvres, {at_once:.0%} began within a step of their trigger; none before it."
     figure, ax = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     ax.step(np.sort(delays), np.arange(1, len(delays) + 1) / len(delays), where="post")
     ax.set_title(said, fontsize=9, wrap=True)
     ax.set(xlabel="time from trigger to begin, s", ylabel="share of manoeuvres")
     path = Path(os.environ.get("HID2_VERIFICATION_DIR", tmp_path)) / "start_delay.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
     print(f"{path}: {said}")
