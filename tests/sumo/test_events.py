@@ -1,4 +1,4 @@
-"""Events in a synthetic scene, as the second checker sees them in the exported positions."""
+"""Events in synthetic scenes, as the second checker sees them in the exported positions."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ SLOW = "310114"
 
 
 @pytest.fixture(scope="module")
-def prepared(data_scenes: dict[str, Path]) -> PreparedScene:
+def arterial(data_scenes: dict[str, Path]) -> PreparedScene:
     """The scene of the wide road: three lanes one way."""
     return prepare(read_scene(data_scenes["arterial"]), Config())
 
@@ -28,6 +28,13 @@ def made(prepared: PreparedScene, *events: dict[str, object], candidates: int = 
     return generate(prepared, Config(request=Request(agents=0), drivers=drivers, event=asked, event_search=search))
 
 
+@pytest.mark.parametrize("kind", ["cross", "merge", "follow"])
+def test_event_is_seen_where_roads_meet(data_scenes: dict[str, Path], kind: str) -> None:
+    scene = made(prepare(read_scene(data_scenes["intersection"]), Config()), {"kind": kind, "target": "any"})
+    assert [one.status for one in scene.sidecar.events] == ["done"]
+    assert check_generated(scene) == []
+
+
 @pytest.mark.parametrize(
     "asked",
     [
@@ -37,16 +44,16 @@ def made(prepared: PreparedScene, *events: dict[str, object], candidates: int = 
     ],
     ids=["cut-in", "overtake", "leader that brakes"],
 )
-def test_event_is_as_asked_in_the_exported_positions(prepared: PreparedScene, asked: dict[str, object]) -> None:
+def test_event_is_as_asked_in_the_exported_positions(arterial: PreparedScene, asked: dict[str, object]) -> None:
     """At the time asked for, +- 0.5 s, with the gap noted, bumper to bumper; as critical, and braking as hard.
 
     Within a fifth, and not before the moment.
     """
-    scene = made(prepared, asked)
+    scene = made(arterial, asked)
     (event,) = scene.sidecar.events
     assert event.status == "done", event.reason
     assert check_generated(scene) == []
-    low, high = asked["at_s"]  # type: ignore[misc]
+    low, high = asked["at_s"]
     assert low - 0.5 <= event.at_s <= high + 0.5
     (own,), at, target = scene.generated, round(event.at_s * 10), scene.source.track(event.target_track_id)
     apart = float(np.hypot(*(own.position[at] - target.position[target.timesteps == at][0])))
@@ -60,24 +67,24 @@ def test_event_is_as_asked_in_the_exported_positions(prepared: PreparedScene, as
         assert event.brakes_mps2 == pytest.approx(braking[at:].max(), abs=0.2)
 
 
-def test_what_the_tries_failed_by_is_told_for_each_event(prepared: PreparedScene) -> None:
+def test_what_the_tries_failed_by_is_told_for_each_event(arterial: PreparedScene) -> None:
     """No vehicle is 90 m/s faster than a target: none is driven. The second event has nothing of that reason."""
     too_fast = {"at_s": (4.0, 4.0), "speed_difference_mps": (90.0, 91.0)}
-    first, second = made(prepared, too_fast, {"target": "nobody"}, candidates=200).sidecar.events
+    first, second = made(arterial, too_fast, {"target": "nobody"}, candidates=200).sidecar.events
     assert (first.status, first.tries) == ("not_feasible", 0)
     assert first.reason == f"event_not_foreseen:{next(iter(first.tried))}"
     assert (second.reason, second.tried) == ("event_no_target", {})
 
 
-def test_no_vehicle_of_an_event_comes_between_those_of_one_before(prepared: PreparedScene) -> None:
+def test_no_vehicle_of_an_event_comes_between_those_of_one_before(arterial: PreparedScene) -> None:
     """One leads by 23 m at 6 s; another would lead by 5 m at 3 s, and still be between the two at 6 s.
 
     Alone it is the first candidate.
     """
     far = {"kind": "lead", "at_s": (6.0, 6.0), "gap_m": (15.0, 30.0)}
     near = {"kind": "lead", "at_s": (3.0, 3.0), "gap_m": (4.0, 10.0)}
-    scene = made(prepared, far, near, candidates=200)
+    scene = made(arterial, far, near, candidates=200)
     assert [one.status for one in scene.sidecar.events] == ["done", "not_feasible"]
     assert scene.judge().empty
-    (alone,) = made(prepared, near, candidates=200).sidecar.events
+    (alone,) = made(arterial, near, candidates=200).sidecar.events
     assert alone.status == "done"

@@ -1,5 +1,6 @@
 """Lanes, boxes and tracks drawn by hand, for tests that need a road and no map: in metres, along +x unless bent."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -68,14 +69,11 @@ def graph_of(*lanes: LaneSegment, ground: Sequence[Sequence[float]] | None = Non
 
 def draw_chain(*ends_m: float, crossing: int | None = None) -> LaneGraph:
     """Lanes 1, 2, ... along +x, each from where the one before ends; crossing: the one in an intersection."""
-    begins = (0.0, *ends_m)
-    return graph_of(*(
-        draw_lane(
-            k, [(begins[k - 1], 0.0), (end, 0.0)], successors=(k + 1,) if k < len(ends_m) else (),
-            is_intersection=k == crossing,
-        )
-        for k, end in enumerate(ends_m, start=1)
-    ))  # fmt: skip
+    lanes = []
+    for k, (begin, end) in enumerate(itertools.pairwise((0.0, *ends_m)), start=1):
+        after = (k + 1,) if k < len(ends_m) else ()
+        lanes.append(draw_lane(k, [(begin, 0.0), (end, 0.0)], successors=after, is_intersection=k == crossing))
+    return graph_of(*lanes)
 
 
 def draw_box(

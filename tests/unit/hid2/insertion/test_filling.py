@@ -47,9 +47,10 @@ class Road:
 
 
 def _refusing(
-    *vehicle_ids: str, where: Callable[[VehicleRequest, int], bool] = lambda *_: False,
+    *vehicle_ids: str,
+    where: Callable[[VehicleRequest, int], bool] = lambda *_: False,
     reason: Reason = Reason.SUMO_REFUSES_INSERTION,
-) -> Spoil:  # fmt: skip
+) -> Spoil:
     """SUMO does not insert these vehicles, nor those of some requests in a round."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
