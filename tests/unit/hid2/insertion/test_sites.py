@@ -90,6 +90,13 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     assert sites.starts.refusals[Reason.TTC_RECORDED_FOLLOWER] > 0
 
 
+def test_start_that_harms_a_recorded_follower_later_is_refused_with_the_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(World, "harm_to_followers", lambda *_: Reason.FOLLOWER_BRAKING)
+    sites = sites_of(scene_of(lanes=1))
+    site = Site(sites.here.routes.offers(1)[0], 100.0)
+    assert sites.starts.make(_request(), site, driver=DRIVER) is Reason.FOLLOWER_BRAKING
+
+
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
 def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
     """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.3 m/s2, a lifted foot; also behind a faster one."""
