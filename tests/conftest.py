@@ -83,6 +83,14 @@ def real_scenes(shared_data: Path) -> list[Path]:
     return [find_folder(shared_data / "av2", scenario_id) for scenario_id in REAL_IDS]
 
 
+@pytest.fixture(scope="session")
+def fourteen_scenes(shared_data: Path) -> list[Path]:
+    """The folders of all real scenes."""
+    found = [path.parent for part in ("av2", "wide") for path in shared_data.glob(f"{part}/*/*/scenario_*.parquet")]
+    assert len(found) == 14
+    return sorted(found)
+
+
 @pytest.fixture(scope="session", params=REAL_IDS, ids=[scenario_id[:8] for scenario_id in REAL_IDS])
 def real_scene(request: pytest.FixtureRequest, shared_data: Path) -> Path:
     """One folder of a real scene after the other."""

@@ -14,12 +14,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from shared_data import SHARED_DATA
+from shared_data import ROOTS, scenes_below
 
 from bridge.forecasting.experiment import small_forecaster
 from bridge.generation.generate import generate, prepare
-from bridge.recordings.folders import find_scenarios
-from bridge.recordings.scenario import MAX_STEPS, read_scenario
+from bridge.recordings.scenario import MAX_STEPS
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray
 from hid2.params import Config, Export, Request
@@ -63,7 +62,7 @@ def table(scores: dict[str, list[FloatArray]], kinds: dict[str, BoolArray], scen
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("roots", nargs="*", type=Path, default=[SHARED_DATA / "av2", SHARED_DATA / "wide"])
+    parser.add_argument("roots", nargs="*", type=Path, default=ROOTS)
     parser.add_argument("--variants", type=int, default=6)
     parser.add_argument("--updates", type=int, default=300)
     parser.add_argument("--parts", type=int, default=4)
@@ -72,8 +71,7 @@ def main() -> None:
     scenes_of, network = small_forecaster()
     import torch
 
-    every = [read_scenario(folder) for root in asked.roots for folder in find_scenarios(root)]
-    scenes = [one for one in every if one.num_steps == MAX_STEPS]
+    scenes = [one for one in scenes_below(asked.roots) if one.num_steps == MAX_STEPS]
     targets: dict[str, list[list]] = {name: [] for name in SETS}
     for scene in scenes:
         known = [one for one in scenes_of.targets_of(scene) if one.seen.future is not None]

@@ -12,14 +12,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import savgol_filter
-from shared_data import SHARED_DATA
-from sklearn.ensemble import HistGradientBoostingClassifier
+from shared_data import ROOTS, scenes_below, scores_of_trees
 from sklearn.metrics import roc_auc_score
-from threadpoolctl import threadpool_limits
 
 from bridge.generation.generate import generate, prepare
-from bridge.recordings.folders import find_scenarios
-from bridge.recordings.scenario import read_scenario
 from hid2.agents import VEHICLE_TYPES, Track
 from hid2.params import Config, Export, Request
 from netconvert.geometry import wrap_angle
@@ -71,26 +67,19 @@ def told_apart(features: np.ndarray, inserted: np.ndarray, scene: np.ndarray) ->
         for kind in (False, True):
             rows = (scene == number) & (inserted == kind)
             weight[rows] = 1.0 / max(rows.sum(), 1)
-    score = np.zeros(len(inserted))
-    for number in np.unique(scene):
-        rows = scene == number
-        critic = HistGradientBoostingClassifier(max_iter=100, max_depth=3, random_state=0)
-        with threadpool_limits(1):
-            critic.fit(features[~rows], inserted[~rows], sample_weight=weight[~rows])
-            score[rows] = critic.predict_proba(features[rows])[:, 1]
+    score = scores_of_trees(features, inserted, weight, scene, max_iter=100)
     return float(roc_auc_score(inserted, score, sample_weight=weight))
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("roots", nargs="*", type=Path, default=[SHARED_DATA / "av2", SHARED_DATA / "wide"])
+    parser.add_argument("roots", nargs="*", type=Path, default=ROOTS)
     parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
     parser.add_argument("--labelled", action="store_true", help="scenes that people labelled, not a tracker's")
     asked = parser.parse_args()
     provenance = "human" if asked.labelled else "tracker"
-    every = [read_scenario(folder) for root in asked.roots for folder in find_scenarios(root)]
-    scenes = [one for one in every if one.provenance == provenance]
+    scenes = [one for one in scenes_below(asked.roots) if one.provenance == provenance]
     recorded: list[tuple[int, int, list[float]]] = []
     for number, scene in enumerate(scenes):
         for row, track in enumerate(scene.tracks):

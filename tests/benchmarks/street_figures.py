@@ -22,15 +22,11 @@ import numpy as np
 from scipy.signal import savgol_filter
 from scipy.stats import wasserstein_distance
 from shapely import LineString
-from shared_data import SHARED_DATA
-from sklearn.ensemble import HistGradientBoostingClassifier
+from shared_data import ROOTS, scenes_below, scores_of_trees
 from sklearn.metrics import roc_auc_score
-from threadpoolctl import threadpool_limits
 
 from bridge.config import load_config
 from bridge.generation.generate import generate, prepare
-from bridge.recordings.folders import find_scenarios
-from bridge.recordings.scenario import read_scenario
 from hid2.agents import FloatArray, Track
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.judge.states import recorded_headways, sustained_headway
@@ -156,12 +152,7 @@ FEATURES = (
 
 def told_apart(x: FloatArray, inserted: FloatArray, weight: FloatArray, fold: FloatArray, unit: FloatArray) -> str:
     """AUC of trees, each fold judged by those trained on the others; 95 % by drawing recorded units again."""
-    score = np.zeros(len(x))
-    for k in np.unique(fold):
-        critic = HistGradientBoostingClassifier(max_iter=60, max_depth=3, min_samples_leaf=5, random_state=0)
-        with threadpool_limits(1):
-            critic.fit(x[fold != k], inserted[fold != k], sample_weight=weight[fold != k])
-            score[fold == k] = critic.predict_proba(x[fold == k])[:, 1]
+    score = scores_of_trees(x, inserted, weight, fold, max_iter=60, min_samples_leaf=5)
     value = roc_auc_score(inserted, score, sample_weight=weight)
     units, place = np.unique(unit, return_inverse=True)
     drawn = []
@@ -423,13 +414,12 @@ def main() -> None:
     parser.add_argument("--variants", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--set", dest="settings", action="append", default=[])
-    parser.add_argument("roots", nargs="*", type=Path, default=[SHARED_DATA / "av2", SHARED_DATA / "wide"])
+    parser.add_argument("roots", nargs="*", type=Path, default=ROOTS)
     asked = parser.parse_args()
     logged()
     figures = Figures()
     config = load_config(None, asked.settings, {"request.seed": asked.seed})
-    for number, folder in enumerate(folder for root in asked.roots for folder in find_scenarios(root)):
-        recording = read_scenario(folder)
+    for number, recording in enumerate(scenes_below(asked.roots)):
         prepared, lanes = prepare(recording, config), flatten_lanes(recording.graph)
         kept = {"num_steps": recording.num_steps, "step_s": recording.step_s}
         if recording.provenance == "human":

@@ -5,6 +5,7 @@ The default run takes two real scenes, 10 vehicles and two seeds; `pytest -m slo
 """
 
 import hashlib
+import os
 import statistics
 import subprocess
 import sys
@@ -33,7 +34,6 @@ from hid2.reasons import Reason
 #: Reasons that a record, a rejection or a replacement may name: `hid2.reasons` and nothing else.
 REASONS = {reason.value for reason in Reason}
 read_once = cache(read_scenario)
-SLOW_NAMES = ("arterial", "curve")
 
 
 @cache
@@ -85,17 +85,6 @@ def test_vehicles_that_enter_a_real_scene_break_no_rule(real_scenes: list[Path],
     entered = [(agent, track) for agent, track in pairs if agent.spawn.timestep > 0]
     assert entered or folder.name.startswith("00a0ec58")
     assert all(agent.policy is Policy.STRAIGHT and track.category == 1 for agent, track in entered)
-
-
-@pytest.mark.parametrize("name", ["intersection", *(pytest.param(k, marks=pytest.mark.slow) for k in SLOW_NAMES)])
-def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scenes: dict[str, Path], name: str) -> None:
-    config = Config(request=Request(agents=10, entering=1.0, seed=1))
-    prepared = prepare(read_once(data_scenes[name]), config)
-    for variant in range(2):
-        scene = generate(prepared, config, variant=variant)
-        assert check_generated(scene) == []
-        assert any(track.timesteps[0] > 0 for track in scene.generated)
-        assert len(scene.generated) == 10
 
 
 def test_ten_asked_for_are_ten_placed_every_request_has_its_record_and_algorithm_1_decides_at_every_step(
@@ -171,41 +160,28 @@ def test_many_seeds_and_densities_break_no_rule(
 NOTHING = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.0}
 
 
-def _asked(folder: Path, mix: dict[str, float], seeds: range) -> tuple[int, int, list[str]]:
-    """Vehicles asked for, those seen to do it, and records that disagree, with 10 vehicles of a mix."""
-    prepared = prepare(read_scenario(folder), Config())
-    (kind,) = (name for name in mix if name != "straight")
-    asked, done, wrong = 0, 0, []
-    for seed in seeds:
-        scene = generate(prepared, Config(request=Request(agents=10, seed=seed, **{**NOTHING, **mix})))
-        asked += round(10 * mix[kind])
-        policies = {agent.track_id: agent.policy.value for agent in scene.sidecar.agents}
-        seen = manoeuvres_seen(scene)
-        done += sum(kind in kinds and policies[name] == kind for name, kinds in seen.items())
-        wrong += [f"seed {seed}: {sentence}" for sentence in disagreements(scene, seen)]
-    return asked, done, wrong
-
-
 @pytest.mark.parametrize(
-    ("mix", "count", "share"),
+    ("kind", "of_ten", "seeds", "share"),
     [
-        ({"lane_change": 1.0}, 1, 0.8),
-        ({"straight": 0.7, "overtake": 0.3}, 2, 0.6),
-        pytest.param({"lane_change": 1.0}, 2, 0.8, marks=pytest.mark.slow),
-        pytest.param({"straight": 0.7, "overtake": 0.3}, 5, 0.6, marks=pytest.mark.slow),
+        ("lane_change", 10, 1, 0.8), ("overtake", 3, 2, 0.6),
+        pytest.param("overtake", 3, 5, 0.6, marks=pytest.mark.slow),
     ],
-)
+)  # fmt: skip
 def test_arterial_shows_complete_lane_changes_and_overtakes(
-    data_scenes: dict[str, Path], mix: dict[str, float], count: int, share: float
+    data_scenes: dict[str, Path], kind: str, of_ten: int, seeds: int, share: float
 ) -> None:
     """It has three lanes of some hundred metres; overtakes are seen out, past and back in 11 s.
 
     Of lane changes 80 % come about; of overtakes two thirds: 46 of 60 when this was written.
     """
-    asked, done, wrong = _asked(data_scenes["arterial"], mix, range(count))
-    assert wrong == []
-    assert asked == (10 if "lane_change" in mix else 3) * count
-    assert done >= share * asked, done
+    prepared, done = prepare(read_once(data_scenes["arterial"]), Config()), 0
+    mix = {**NOTHING, "straight": 1.0 - 0.1 * of_ten, kind: 0.1 * of_ten}
+    for seed in range(seeds):
+        scene = generate(prepared, Config(request=Request(agents=10, seed=seed, **mix)))
+        policies, seen = {one.track_id: one.policy for one in scene.sidecar.agents}, manoeuvres_seen(scene)
+        done += sum(kind in kinds and policies[name] == kind for name, kinds in seen.items())
+        assert disagreements(scene, seen) == []
+    assert done >= share * of_ten * seeds, done
 
 
 def _digests(out: Path) -> dict[str, str]:
@@ -224,10 +200,12 @@ generate(read_scenario(Path(sys.argv[1])), Config(request=Request(agents=10, see
 
 
 def test_same_request_gives_the_bytes_of_a_process_of_its_own(real_scenes: list[Path], tmp_path: Path) -> None:
-    """Another hash seed, so that no order of a set can hide in the result; nothing of a scene is left for the next."""
+    """Another hash seed, so that no order of a set can hide in the result; nothing of a scene is left for the next.
+
+    The rest of the environment stays: with another OPENBLAS_CORETYPE sums differ in their last bits.
+    """
     command = [sys.executable, "-c", _WRITE, str(real_scenes[5]), str(tmp_path / "alone")]
-    environment = {"PYTHONHASHSEED": "1", "PATH": "/usr/bin:/bin"}
-    subprocess.run(command, env=environment, check=True)
+    subprocess.run(command, env=os.environ | {"PYTHONHASHSEED": "1"}, check=True)
     make(real_scenes[0], 10, 0)
     generate(read_once(real_scenes[5]), Config(request=Request(agents=10, seed=3))).write(tmp_path / "here")
     digests = _digests(tmp_path / "alone")

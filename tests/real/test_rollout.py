@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from bridge.generation.generate import prepare, sumo_seed
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import FleetSimulation
@@ -74,5 +73,5 @@ def test_rollouts_are_where_sumo_drives_without_its_noise(real_scenes: list[Path
 
 
 @pytest.mark.slow
-def test_rollouts_are_where_sumo_drives_without_its_noise_in_fourteen_scenes(shared_data: Path) -> None:
-    check([folder for part in ("av2", "wide") for folder in find_scenarios(shared_data / part)])
+def test_rollouts_are_where_sumo_drives_without_its_noise_in_fourteen_scenes(fourteen_scenes: list[Path]) -> None:
+    check(fourteen_scenes)

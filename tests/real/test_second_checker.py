@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from planted_faults import GROSS, INSIDE, KINDS, PlantedFault, planted, planted_in
 from second_checker import check_folder
-from second_scene import read_scene
 
 from bridge.config import config_from_dict
 from bridge.generation.generate import generate
@@ -52,12 +51,6 @@ def test_the_second_checker_imports_nothing_of_the_product() -> None:
     code = "import sys, planted_faults; print({'hid2', 'bridge', 'netconvert'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=ROOT / "tests" / "support")
     assert done.stdout.decode().strip() == "set()"
-
-
-def test_scenes_as_written_have_no_error(quiet_scenes: list[tuple[Path, Path]]) -> None:
-    for folder, source in quiet_scenes:
-        assert len(read_scene(folder, source).inserted) == 2
-        assert check_folder(folder, source) == []
 
 
 #: What a fault inside its limit may break besides, as a vehicle that is moved may come nearer to its leader than one

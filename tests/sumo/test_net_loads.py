@@ -101,10 +101,6 @@ def test_sumo_loads_the_net_of_a_real_scene_without_a_word(
     _check_scene(real_scenes[number], tmp_path)
 
 
-def test_sumo_loads_the_net_of_a_synthetic_scene_without_a_word(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    _check_scene(data_scenes["intersection"], tmp_path)
-
-
 _lane = partial(draw_lane, left_mark="NONE", right_mark="SOLID_WHITE")
 
 

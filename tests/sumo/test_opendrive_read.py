@@ -20,8 +20,6 @@ def test_netconvert_reads_a_real_map_whole(real_scenes: list[Path], tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_netconvert_reads_fourteen_real_maps_whole(shared_data: Path, tmp_path: Path) -> None:
-    scenes = [path.parent for part in ("av2", "wide") for path in shared_data.glob(f"{part}/*/*/scenario_*.parquet")]
-    assert len(scenes) == 14
-    for scene in scenes:
+def test_netconvert_reads_fourteen_real_maps_whole(fourteen_scenes: list[Path], tmp_path: Path) -> None:
+    for scene in fourteen_scenes:
         check(scene, tmp_path / scene.name)

@@ -72,11 +72,9 @@ def test_traffic_drives_on_a_real_map(real_scenes: list[Path], tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_traffic_drives_on_fourteen_real_maps(shared_data: Path, tmp_path: Path) -> None:
-    scenes = [path.parent for part in ("av2", "wide") for path in shared_data.glob(f"{part}/*/*/scenario_*.parquet")]
-    assert len(scenes) == 14
+def test_traffic_drives_on_fourteen_real_maps(fourteen_scenes: list[Path], tmp_path: Path) -> None:
     most = on_a_grid(tmp_path)
-    print(most, {scene.name[:8]: check(scene, tmp_path, most) for scene in scenes})
+    print(most, {scene.name[:8]: check(scene, tmp_path, most) for scene in fourteen_scenes})
 
 
 def test_the_same_map_gives_the_same_bytes_on_the_globe(data_scenes: dict[str, Path], tmp_path: Path) -> None:

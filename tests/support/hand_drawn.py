@@ -1,5 +1,6 @@
 """Lanes, boxes and tracks drawn by hand, for tests that need a road and no map: in metres, along +x unless bent."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -57,8 +58,22 @@ def draw_road(*, lanes: int = 2, length_m: float = 200.0, mark: str = "DASHED_WH
         for i in range(lanes)
     ]
     top = 3.5 * lanes - 1.75
-    ring = np.array([(-20.0, -1.75), (length_m + 20.0, -1.75), (length_m + 20.0, top), (-20.0, top), (-20.0, -1.75)])
-    return LaneGraph({one.lane_id: one for one in row}, drivable_areas=(ring,))
+    return graph_of(*row, ground=[(-20.0, -1.75), (length_m + 20.0, -1.75), (length_m + 20.0, top), (-20.0, top)])
+
+
+def graph_of(*lanes: LaneSegment, ground: Sequence[Sequence[float]] | None = None) -> LaneGraph:
+    """A map of lanes; ground: corners of its drivable area (none where it is left out)."""
+    areas = () if ground is None else (np.array([*ground, ground[0]]),)
+    return LaneGraph({one.lane_id: one for one in lanes}, drivable_areas=areas)
+
+
+def draw_chain(*ends_m: float, crossing: int | None = None) -> LaneGraph:
+    """Lanes 1, 2, ... along +x, each from where the one before ends; crossing: the one in an intersection."""
+    lanes = []
+    for k, (begin, end) in enumerate(itertools.pairwise((0.0, *ends_m)), start=1):
+        after = (k + 1,) if k < len(ends_m) else ()
+        lanes.append(draw_lane(k, [(begin, 0.0), (end, 0.0)], successors=after, is_intersection=k == crossing))
+    return graph_of(*lanes)
 
 
 def draw_box(
@@ -138,5 +153,5 @@ def draw_crossing(*, end_m: float = 200.0, zebra: bool = False) -> LaneGraph:
 
 def draw_two_lanes(length_m: float = 300.0) -> LaneGraph:
     """Lane 1 at y = 0, lane 2 to its left at y = 3.5, on drivable ground."""
-    ring = np.array([(-20.0, -3.0), (length_m + 20.0, -3.0), (length_m + 20.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
-    return LaneGraph(draw_road(length_m=length_m).lanes, drivable_areas=(ring,))
+    ground = [(-20.0, -3.0), (length_m + 20.0, -3.0), (length_m + 20.0, 7.0), (-20.0, 7.0)]
+    return graph_of(*draw_road(length_m=length_m).lanes.values(), ground=ground)

@@ -31,7 +31,7 @@ STEPS = 70
 GROSS, BEYOND, INSIDE = "gross", "beyond", "inside"
 #: What the strength of a fault is of its limit.
 SHARE = {BEYOND: 1.2, INSIDE: 0.8}
-T = np.arange(STEPS) * DT_S
+T, ZERO = np.arange(STEPS) * DT_S, np.zeros(STEPS)
 
 
 @dataclass(frozen=True)
@@ -240,45 +240,47 @@ def cycle(lasting_s: float, begins_s: float = 2.5) -> Callable[[Floats], Floats]
     )
 
 
-def scaled(bench: Bench, site: Site, quantity: str, target: float, motion: Callable[[float], Motion]) -> Planting:
-    """The motion whose largest value of a quantity is the target, by bisection on its amplitude."""
-    low, high = 0.0, 100.0
-    for _ in range(24):
+def least(reaches: Callable[[float], bool], low: float, high: float) -> float:
+    """The least value between two that reaches something, as all above it do, by bisection."""
+    for _ in range(30):
         middle = (low + high) / 2
-        track = bench.track(site, motion(middle))
-        size = float(np.abs(motion_of(track, track.runs[0])[quantity]).max())
-        low, high = (middle, high) if size < abs(target) else (low, middle)
-    return Planting(bench.track(site, motion(high)))
+        low, high = (low, middle) if reaches(middle) else (middle, high)
+    return high
 
 
 def _limited(quantity: str, limit: float, gross: float, motion: Callable[[float], Motion]) -> Build:
+    """The motion whose largest value of a quantity is the target."""
     measured = "accel" if quantity == "decel" else quantity
 
     def build(bench: Bench, site: Site, strength: str) -> Planting:
-        target = gross if strength == GROSS else limit * SHARE[strength]
-        return scaled(bench, site, measured, target, motion)
+        target = abs(gross if strength == GROSS else limit * SHARE[strength])
+
+        def size(amplitude: float) -> float:
+            track = bench.track(site, motion(amplitude))
+            return float(np.abs(motion_of(track, track.runs[0])[measured]).max())
+
+        return Planting(bench.track(site, motion(least(lambda one: size(one) >= target, 0.0, 100.0))))
 
     return build
 
 
 def _along(speed_mps: float, shape: Callable[[Floats], Floats], sign: float = 1.0) -> Callable[[float], Motion]:
-    zero = np.zeros(STEPS)
-    return lambda size: Motion(driving(speed_mps, lambda t: sign * size * shape(t)), zero, zero)
+    return lambda size: Motion(driving(speed_mps, lambda t: sign * size * shape(t)), ZERO, ZERO)
 
 
 def _sideways(size: float) -> Motion:
     """A short swerve, heading along the lane: a jerk across it."""
-    return Motion(driving(9.0), driving(0.0, lambda t: size * cycle(1.6)(t)), np.zeros(STEPS))
+    return Motion(driving(9.0), driving(0.0, lambda t: size * cycle(1.6)(t)), ZERO)
 
 
 def _weaving(size: float) -> Motion:
     """Along a wave about the lane, heading along the lane, at its outermost at the end."""
-    return Motion(driving(9.0), size / 1.9**2 * np.cos(1.9 * (T - T[-1])), np.zeros(STEPS))
+    return Motion(driving(9.0), size / 1.9**2 * np.cos(1.9 * (T - T[-1])), ZERO)
 
 
 def _swinging(frequency: float) -> Callable[[float], Motion]:
     """Straight on, with a heading that swings about the lane's."""
-    return lambda size: Motion(driving(9.0), np.zeros(STEPS), size / frequency**2 * np.sin(frequency * T))
+    return lambda size: Motion(driving(9.0), ZERO, size / frequency**2 * np.sin(frequency * T))
 
 
 def _winding(size: float) -> Motion:
@@ -293,47 +295,45 @@ def _winding(size: float) -> Motion:
 
 def _plainly(s: Floats, *, aside_m: float = 0.0) -> Build:
     """Along the lane or so far beside it, by arc lengths, with the heading along it."""
-    motion = Motion(s, np.full(STEPS, aside_m), np.zeros(STEPS))
+    motion = Motion(s, np.full(STEPS, aside_m), ZERO)
     return lambda bench, site, strength: Planting(bench.track(site, motion))
 
 
 def _aside(bench: Bench, site: Site, strength: str) -> Planting | None:
     """Along the lane, so far to its right that the outline leaves the drivable ground by the target."""
-    s, zero = driving(7.0), np.zeros(STEPS)
+    s = driving(7.0)
 
     def shifted(d: float) -> SecondTrack:
-        return bench.track(site, Motion(s, zero - d, zero))
+        return bench.track(site, Motion(s, ZERO - d, ZERO))
 
     if strength == GROSS:
         return Planting(shifted(30.0))
-    target = 0.3 * SHARE[strength]
-    low, high = 0.0, 12.0
-    for _ in range(30):
-        middle = (low + high) / 2
-        far = bench.scene.ground.outside_m(shifted(middle).corners.reshape(-1, 2)).max()
-        low, high = (middle, high) if far < target else (low, middle)
-    return Planting(shifted(high)) if high < 11.9 else None
+
+    def outside_m(d: float) -> float:
+        return float(bench.scene.ground.outside_m(shifted(d).corners.reshape(-1, 2)).max())
+
+    aside_m = least(lambda d: outside_m(d) >= 0.3 * SHARE[strength], 0.0, 12.0)
+    return Planting(shifted(aside_m)) if aside_m < 11.9 else None
 
 
 def _past(bench: Bench, site: Site, strength: str) -> Planting | None:
     """Past a standing recorded vehicle, 5 cm beside it or 5 cm deep in it; gross: through its middle."""
     assert site.other is not None
     _, aside = site.stretch.place(site.other.xy[:1])
-    s, zero = driving(5.0), np.zeros(STEPS)
+    s = driving(5.0)
 
     def shifted(d: float) -> SecondTrack:
-        return bench.track(site, Motion(s, zero + d, zero))
+        return bench.track(site, Motion(s, ZERO + d, ZERO))
 
     if strength == GROSS:
         return Planting(shifted(float(aside[0])))
     boxes = shapely.union_all(site.other.boxes)
     away = -math.copysign(1.0, float(aside[0]))
-    low, high = 0.0, 6.0
-    for _ in range(30):
-        middle = (low + high) / 2
-        apart = shapely.distance(shifted(float(aside[0]) + away * middle).boxes, boxes).min()
-        low, high = (middle, high) if apart < 0.05 else (low, middle)
-    clear = float(aside[0]) + away * high
+
+    def apart_m(d: float) -> float:
+        return float(shapely.distance(shifted(float(aside[0]) + away * d).boxes, boxes).min())
+
+    clear = float(aside[0]) + away * least(lambda d: apart_m(d) >= 0.05, 0.0, 6.0)
     return Planting(shifted(clear if strength == INSIDE else clear - 0.1 * away))
 
 
@@ -346,7 +346,7 @@ def _same_path(bench: Bench, site: Site, strength: str) -> Planting:
 def _turned(bench: Bench, site: Site, strength: str) -> Planting | None:
     """Straight on along the lane with a heading that is turned from it, across the way of none; gross: turned round."""
     angle = math.pi if strength == GROSS else math.radians(60.0 * SHARE[strength])
-    track = bench.track(site, Motion(driving(7.0), np.zeros(STEPS), np.full(STEPS, angle)))
+    track = bench.track(site, Motion(driving(7.0), ZERO, np.full(STEPS, angle)))
     return Planting(track) if _is_alone(bench, track, within_m=5.0, within_s=1.5) else None
 
 
@@ -372,18 +372,15 @@ def _approach(bench: Bench, site: Site, strength: str) -> Planting | None:
     own = np.gradient(s, DT_S)
     target = {GROSS: 0.3, BEYOND: 1.2, INSIDE: 1.8}[strength]
     closing = np.maximum(own - led[1], 1e-6)
-    reach = (bench.own.length_m + site.other.length_m) / 2  # type: ignore[union-attr]
+    reach = (bench.own.length_m + site.other.length_m) / 2
 
     def ttc_from(start: float) -> float:
         return float(np.where(own - led[1] > 0.05, (led[0] - start - s - reach) / closing, math.inf).min())
 
-    low, high = -60.0, 60.0
-    for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (middle, high) if ttc_from(middle) > target else (low, middle)
-    if low < 0.5 or low + s[-1] > site.stretch.length_m - 1.0 or ttc_from(low) > target + 0.1:  # it may not come near
-        return None
-    return Planting(bench.track(replace(site, start_m=0.0), Motion(low + s, np.zeros(STEPS), np.zeros(STEPS))))
+    start = least(lambda one: ttc_from(one) <= target, -60.0, 60.0) - 1e-6  # just before
+    if start < 0.5 or start + s[-1] > site.stretch.length_m - 1.0 or ttc_from(start) > target + 0.1:
+        return None  # it may not come near
+    return Planting(bench.track(replace(site, start_m=start), Motion(s, ZERO, ZERO)))
 
 
 def _before_end(gap_m: dict[str, float], faster_mps: float) -> Build:
@@ -393,13 +390,13 @@ def _before_end(gap_m: dict[str, float], faster_mps: float) -> Build:
         led = _leader(site)
         if led is None or led[1].min() < 1.0 or led[1][-1] + faster_mps < 1.5:
             return None
-        reach = (bench.own.length_m + site.other.length_m) / 2  # type: ignore[union-attr]
+        reach = (bench.own.length_m + site.other.length_m) / 2
         gap = gap_m[strength] + reach if faster_mps > 0.0 else -gap_m[strength] - reach
         s = driving(float(led[1][-1]) + faster_mps)
         start = float(led[0][-1]) - gap - float(s[-1])
         if start < 0.5 or start + s[-1] > site.stretch.length_m - 1.0:
             return None
-        return Planting(bench.track(replace(site, start_m=start), Motion(s, np.zeros(STEPS), np.zeros(STEPS))))
+        return Planting(bench.track(replace(site, start_m=start), Motion(s, ZERO, ZERO)))
 
     return build
 
@@ -407,7 +404,7 @@ def _before_end(gap_m: dict[str, float], faster_mps: float) -> Build:
 def _pet(bench: Bench, site: Site, start_m: float) -> tuple[float, SecondTrack, Floats, Floats, Floats]:
     """PET (0 if none is first everywhere, inf if they do not meet) of a drive at 7 m/s, and where they meet when."""
     assert site.other is not None
-    track = bench.track(replace(site, start_m=start_m), Motion(driving(7.0), np.zeros(STEPS), np.zeros(STEPS)))
+    track = bench.track(replace(site, start_m=start_m), Motion(driving(7.0), ZERO, ZERO))
     own, theirs = shapely.STRtree(site.other.boxes).query(track.boxes, predicate="intersects")
     apart = (track.steps[own] - site.other.steps[theirs]) * DT_S
     pet = math.inf if not len(apart) else float(np.abs(apart).min()) if apart.min() * apart.max() > 0.0 else 0.0
@@ -442,12 +439,17 @@ def _changing(bench: Bench, site: Site) -> tuple[SecondTrack, float, int, int] |
     """A lane change to the lane beside: the track, when the centre crosses the line, both lanes."""
     for side in (1.0, -1.0):
         d = side * 3.5 / 2 * (1 - np.cos(np.pi * np.clip((T - 1.0) / 5.0, 0.0, 1.0)))
-        s = driving(9.0)
-        track = bench.track(site, Motion(s, d, np.arctan2(np.gradient(d, DT_S), np.gradient(s, DT_S))))
-        found = crossings(bench.scene, track)
-        if len({round(one[0], 1) for one in found}) == 1 and _is_alone(bench, track, within_m=5.0, within_s=0.0):
-            return track, found[0][0], found[0][1], found[0][2]
+        track, found = _drifting(bench, site, driving(9.0), d)
+        if found is not None and _is_alone(bench, track, within_m=5.0, within_s=0.0):
+            return track, *found
     return None
+
+
+def _drifting(bench: Bench, site: Site, s: Floats, d: Floats) -> tuple[SecondTrack, tuple[float, int, int] | None]:
+    """The track along s and d with its heading along it; when it crosses from which lane to which, if it does once."""
+    track = bench.track(site, Motion(s, d, np.arctan2(np.gradient(d, DT_S), np.gradient(s, DT_S))))
+    found = crossings(bench.scene, track)
+    return track, found[0] if len({round(one[0], 1) for one in found}) == 1 else None
 
 
 def _is_alone(bench: Bench, track: SecondTrack, *, within_m: float, within_s: float) -> bool:
@@ -489,27 +491,15 @@ def _event(kind: str, vehicle: str, target: str, at_s: float) -> dict[str, Any]:
 
 def _claimed_cut_in(bench: Bench, site: Site, strength: str) -> Planting | None:
     """A cut-in ahead of a recorded vehicle, claimed for another moment; gross: in its lane all the time."""
-    assert site.other is not None
-    if strength == GROSS:
-        led = _leader(site)
-        if led is None:
-            return None
-        s = driving(float(led[1].mean()))
-        ahead = replace(site, start_m=float(led[0][0]) + 15.0)
-        track = bench.track(ahead, Motion(s, np.zeros(STEPS), np.zeros(STEPS)))
-        return Planting(track, (), (_event("cut_in", bench.vehicle, site.other.track_id, 3.5),))
+    led = _leader(site)
+    if led is None:
+        return None
+    s, ahead = driving(float(led[1].mean())), replace(site, start_m=float(led[0][0]) + 18.0)
     for side in (1.0, -1.0):
-        led = _leader(site)
-        if led is None:
-            return None
         d = side * 3.5 / 2 * (1 + np.cos(np.pi * np.clip((T - 1.0) / 5.0, 0.0, 1.0)))
-        s = driving(float(led[1].mean()))
-        turn = np.arctan2(np.gradient(d, DT_S), np.gradient(s, DT_S))
-        ahead = replace(site, start_m=float(led[0][0]) + 18.0)
-        track = bench.track(ahead, Motion(s, d, turn))
-        found = crossings(bench.scene, track)
-        if len({round(one[0], 1) for one in found}) == 1:
-            at_s = found[0][0] + {BEYOND: 0.6, INSIDE: 0.4}[strength]
+        track, found = _drifting(bench, ahead, s, ZERO if strength == GROSS else d)
+        if strength == GROSS or found is not None:
+            at_s = 3.5 if found is None else found[0] + {BEYOND: 0.6, INSIDE: 0.4}[strength]
             return Planting(track, (), (_event("cut_in", bench.vehicle, site.other.track_id, at_s),))
     return None
 

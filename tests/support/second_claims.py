@@ -43,23 +43,20 @@ def claims(scene: SecondScene) -> Iterator[Finding]:
         for one in scene.agents.get(track.track_id, {}).get("maneuvers", ()):
             if one["status"] == "done" and one["kind"] in MANEUVERS:
                 off_s, at_s = MANEUVERS[one["kind"]](scene, track, one)
-                if off_s > CLAIM_S + 1e-9:
-                    yield _finding(scene, track, one["kind"], off_s, at_s)
+                yield from _told(scene, track.track_id, one["kind"], off_s, at_s)
     for one in scene.sidecar.get("events", ()):
         if one["status"] == "done":
             maker, target = scene.by_id.get(one["track_id"]), scene.by_id.get(one["target_track_id"])
             off_s = math.inf
             if maker is not None and target is not None:
                 off_s = EVENTS[one["kind"]](scene, maker, target, one)
-            if off_s > CLAIM_S + 1e-9:
-                at = float(one["at_s"] or 0.0)
-                step = round(at / DT_S)
-                name = f"{one['kind']} of {one['target_track_id']}"
-                yield Finding(scene.scenario_id, str(one["track_id"]), step, "claim", off_s, CLAIM_S, name)
+            name = f"{one['kind']} of {one['target_track_id']}"
+            yield from _told(scene, str(one["track_id"]), name, off_s, float(one["at_s"] or 0.0))
 
 
-def _finding(scene: SecondScene, track: SecondTrack, kind: str, off_s: float, at_s: float) -> Finding:
-    return Finding(scene.scenario_id, track.track_id, round(at_s / DT_S), "claim", off_s, CLAIM_S, kind)
+def _told(scene: SecondScene, track_id: str, name: str, off_s: float, at_s: float) -> Iterator[Finding]:
+    if off_s > CLAIM_S + 1e-9:
+        yield Finding(scene.scenario_id, track_id, round(at_s / DT_S), "claim", off_s, CLAIM_S, name)
 
 
 def crossings(scene: SecondScene, track: SecondTrack) -> list[tuple[float, int, int]]:

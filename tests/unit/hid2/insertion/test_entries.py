@@ -5,7 +5,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from hand_drawn import draw_box, draw_lane, draw_road
+from hand_drawn import draw_box, draw_lane, draw_road, graph_of
 from inserted import recorded, scene_on, sites_of, start_on
 
 from hid2.agents import Policy, Track
@@ -32,15 +32,12 @@ def _entering(scene: Scene, *, count: int = 20, seed: int = 0) -> list[Start]:
 
 def _pocket() -> LaneGraph:
     """Lane 1 from x = 0 to 100, then 2; 3 begins beside 2 (a turn pocket); 4 begins alone in the middle of it all."""
-    ring = np.array([(-20.0, -60.0), (320.0, -60.0), (320.0, 60.0), (-20.0, 60.0), (-20.0, -60.0)])
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
-        2: draw_lane(2, [(100.0, 0.0), (300.0, 0.0)], left=3),
-        3: draw_lane(3, [(100.0, 3.5), (300.0, 3.5)], right=2),
-        4: draw_lane(4, [(150.0, -20.0), (300.0, -20.0)]),
-        5: draw_lane(5, [(300.0, -50.0), (0.0, -50.0)]),
-    }
-    return LaneGraph(lanes, drivable_areas=(ring,))
+    return graph_of(
+        draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
+        draw_lane(2, [(100.0, 0.0), (300.0, 0.0)], left=3), draw_lane(3, [(100.0, 3.5), (300.0, 3.5)], right=2),
+        draw_lane(4, [(150.0, -20.0), (300.0, -20.0)]), draw_lane(5, [(300.0, -50.0), (0.0, -50.0)]),
+        ground=[(-20.0, -60.0), (320.0, -60.0), (320.0, 60.0), (-20.0, 60.0)],
+    )  # fmt: skip
 
 
 def test_turn_pockets_and_driveways_are_no_edge() -> None:

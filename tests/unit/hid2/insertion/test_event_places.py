@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road
+from hand_drawn import draw_lane, draw_road, graph_of
 from inserted import recorded, scene_on
 
 from hid2.agents import Track
@@ -49,40 +49,22 @@ def test_cut_in_begins_on_the_lane_beside_and_overtake_behind_the_target_early_e
     assert place.beyond == (-30.0, -3.0)
 
 
-def test_ways_meet_where_the_common_lane_begins() -> None:
-    """Lanes 1 and 2 lead to 3, which begins at 100 m; the target comes by lane 1 and is 30 to 10 m before it at 2 s.
-
-    At 10 m/s from 60 m it is at 80 m at 2 s, 20 m and half of both lengths before the lane.
-    """
-    lanes = [
-        draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,)),
-        draw_lane(2, [(20.0, 60.0), (100.0, 0.0)], successors=(3,)),
-        draw_lane(3, [(100.0, 0.0), (300.0, 0.0)]),
-    ]  # fmt: skip
-    graph = LaneGraph({one.lane_id: one for one in lanes})
-    (place,) = _places(graph, recorded(60.0, 0.0, 10.0), kind="merge", at_s=(2.0, 2.0), gap_m=(10.0, 30.0))
-    assert place.offer.route == (2, 3)
-    begin = next(one.start for one in place.path.segments if one.lane_id == 3)
-    assert np.unique(place.along[np.isfinite(place.along)]).tolist() == [begin]
-    nearer = _places(graph, recorded(60.0, 0.0, 10.0), kind="merge", at_s=(2.0, 2.0), gap_m=(0.0, 10.0))
-    assert nearer == []
-
-
-def test_target_comes_to_where_ways_meet_by_its_own_way() -> None:
+def test_ways_meet_where_the_common_lane_begins_and_the_target_comes_there_by_its_own_way() -> None:
     """It comes from the north at 10 m/s, turns left at x = 80 m and is 20 m later where lane 2 from the west ends, too.
 
     At 2 s it has 10 m to its turn: 30 m to go, 10 m of them along its heading.
     """
-    lanes = [
+    graph = graph_of(
         draw_lane(1, [(80.0, 100.0), (80.0, 0.0), (100.0, 0.0)], successors=(3,)),
         draw_lane(2, [(0.0, -9.0), (100.0, 0.0)], successors=(3,)), draw_lane(3, [(100.0, 0.0), (300.0, 0.0)]),
-    ]  # fmt: skip
+    )  # fmt: skip
     way = np.arange(110) - 30.0
     xy = np.column_stack([80.0 + np.maximum(way, 0.0), np.maximum(-way, 0.0)])
     turns = replace(recorded(60.0, 0.0, 10.0), position=xy, heading=np.where(way < 0.0, -np.pi / 2, 0.0))
-    graph = LaneGraph({one.lane_id: one for one in lanes})
     (place,) = _places(graph, turns, kind="merge", at_s=(2.0, 2.0), gap_m=(15.0, 35.0))
     assert place.offer.route == (2, 3)
+    begin = next(one.start for one in place.path.segments if one.lane_id == 3)
+    assert np.unique(place.along[np.isfinite(place.along)]).tolist() == [begin]
     assert np.isfinite(place.along[20])
     assert _places(graph, turns, kind="merge", at_s=(2.0, 2.0), gap_m=(0.0, 15.0)) == []
 
@@ -92,8 +74,7 @@ def test_a_path_is_crossed_apart_from_the_target_by_the_critical_pet() -> None:
 
     A vehicle may cross before it by at least 1 s, and at most 5 s with 2 s for the boxes.
     """
-    lanes = draw_lane(1, [(0.0, 0.0), (300.0, 0.0)]), draw_lane(9, [(150.0, -60.0), (150.0, 60.0)])
-    graph = LaneGraph({one.lane_id: one for one in lanes})
+    graph = graph_of(draw_lane(1, [(0.0, 0.0), (300.0, 0.0)]), draw_lane(9, [(150.0, -60.0), (150.0, 60.0)]))
     (place,) = _places(graph, recorded(50.5, 0.0, 10.0), kind="cross", at_s=(2.0, 10.9))
     steps = np.flatnonzero(np.isfinite(place.along))
     assert place.offer.route == (9,)
@@ -103,13 +84,13 @@ def test_a_path_is_crossed_apart_from_the_target_by_the_critical_pet() -> None:
 
 def test_routes_come_along_the_lanes_of_the_target_first_then_from_elsewhere_and_on_elsewhere() -> None:
     """Lanes 1 and 2 lead to 3, which leads to 4 and 5; the target comes by 2 and goes on by 5."""
-    lanes = [
+    graph = graph_of(
         draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,)),
         draw_lane(2, [(0.0, 40.0), (100.0, 0.0)], successors=(3,)),
         draw_lane(3, [(100.0, 0.0), (200.0, 0.0)], successors=(4, 5)), draw_lane(4, [(200.0, 0.0), (300.0, 0.0)]),
         draw_lane(5, [(200.0, 0.0), (300.0, 20.0)]),
-    ]  # fmt: skip
-    scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}), recorded(110.0, 0.0, 8.0))
+    )  # fmt: skip
+    scene = scene_on(graph, recorded(110.0, 0.0, 8.0))
     target = target_of(scene, 0)
     assert target is not None
     places = Places(Routes(scene), Event(kind="lead", target="r"), target, LENGTHS_M)

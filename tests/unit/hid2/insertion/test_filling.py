@@ -46,18 +46,19 @@ class Road:
         return [self.spoil(driven(start, np.full(110 - start.step, 8.0)), number) for start in starts]
 
 
-def _refusing(*vehicle_ids: str, requests: frozenset[int] = frozenset()) -> Spoil:
-    """SUMO does not insert these vehicles, nor those of these requests."""
+def _refusing(
+    *vehicle_ids: str,
+    where: Callable[[VehicleRequest, int], bool] = lambda *_: False,
+    reason: Reason = Reason.SUMO_REFUSES_INSERTION,
+) -> Spoil:
+    """SUMO does not insert these vehicles, nor those of some requests in a round."""
 
-    def spoil(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
-        if vehicle.vehicle_id in vehicle_ids or vehicle.start.request.number in requests:
-            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if vehicle.vehicle_id in vehicle_ids or where(vehicle.start.request, number):
+            vehicle.not_inserted = reason
         return vehicle
 
     return spoil
-
-
-_as_driven = _refusing()
 
 
 def scene_for(*, agents: int | str = 4, rounds: int = 6, reseeds: int = 2, **request: object) -> Scene:
@@ -67,8 +68,8 @@ def scene_for(*, agents: int | str = 4, rounds: int = 6, reseeds: int = 2, **req
     return scene_on(draw_road(length_m=500.0), config=config)
 
 
-def _fill(scene: Scene, spoil: Spoil = _as_driven, *, seed: int = 0) -> tuple[Filling, Road]:
-    filling, drive = Filling(Surroundings(scene), [seed, 0, 1]), Road(spoil)
+def _fill(scene: Scene, spoil: Spoil | None = None, *, seed: int = 0) -> tuple[Filling, Road]:
+    filling, drive = Filling(Surroundings(scene), [seed, 0, 1]), Road(spoil or _refusing())
     filling.fill(drive)
     return filling, drive
 
@@ -181,20 +182,17 @@ def test_two_rounds_that_add_no_vehicle_are_the_last() -> None:
 
     Of one round that is all there is one.
     """
-    filling, drive = _fill(scene_for(rounds=12), _refusing(requests=frozenset({3})))
+    filling, drive = _fill(scene_for(rounds=12), _refusing(where=lambda one, _: one.number == 3))
     assert [len(starts) for starts in drive.rounds] == [4, 1, 1]
     assert len(filling.kept) == 3
-    filling, drive = _fill(scene_for(rounds=1), _refusing(requests=frozenset(range(4))))
+    filling, drive = _fill(scene_for(rounds=1), _refusing(where=lambda *_: True))
     assert filling.kept == []
     assert len(drive.rounds) == filling.rounds == 1
 
 
 def test_max_is_sought_until_rounds_add_none() -> None:
     """Forty are asked for: round 0 keeps thirty, and each of the five after it two."""
-
-    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
-        return _refusing(requests=frozenset(range(30 + 2 * number, 40)))(vehicle, number)
-
+    spoil = _refusing(where=lambda one, number: one.number >= 30 + 2 * number)
     assert len(_fill(scene_for(agents="max", rounds=12, reseeds=0), spoil)[0].kept) == 40
 
 
@@ -235,45 +233,20 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(monkeypatc
         anew[0] += 1
         before(turned_down)
 
-    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
-        if vehicle.start.request.number >= 3 * (number + 1):
-            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
-        return vehicle
-
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", only_lane_2)
     monkeypatch.setattr(TurnedDown, "look_anew", look_anew)
-    filling, drive = _fill(scene_for(agents=12), spoil)
+    filling, drive = _fill(scene_for(agents=12), _refusing(where=lambda one, number: one.number >= 3 * (number + 1)))
     assert len(drive.rounds) >= 4
     assert 25 < len(looked) < 100  # those around are spared
     assert max(looked.values()) == 1
     assert len(filling.kept) == 12
 
 
-def test_request_keeps_its_trigger_when_its_vehicle_is_replaced() -> None:
-    """Lane changes at 1 to 8 s, of which none comes about: three rounds try each, with one trigger."""
-    scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=8.0)
-    filling, drive = _fill(scene)
-    triggers: dict[int, set[float]] = {}
-    for start in (start for starts in drive.rounds for start in starts if start.request.policy is Policy.LANE_CHANGE):
-        triggers.setdefault(start.request.number, set()).add(start.request.trigger_s)
-    assert triggers
-    assert all(len(one) == 1 for one in triggers.values())
-    assert len({trigger for one in triggers.values() for trigger in one}) == len(triggers)
-    assert {one.reason for one in filling.rejected if one.vehicle.policy is Policy.LANE_CHANGE} == {
-        Reason.DID_NOT_DO_IT
-    }
-
-
 def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reached() -> None:
     """Vehicles that are to change lanes are not safe. After three rounds straight ones take the places; each request is
     told of.
     """
-
-    def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
-        if vehicle.policy is Policy.LANE_CHANGE:
-            vehicle.not_inserted = Reason.MEETS_RECORDED
-        return vehicle
-
+    refuse = _refusing(where=lambda one, _: one.policy is Policy.LANE_CHANGE, reason=Reason.MEETS_RECORDED)
     filling, _ = _fill(scene_for(**HALF), refuse)
     assert len(filling.kept) == 4
     assert [(one.request.policy, one.reason) for one in filling.unmet] == [

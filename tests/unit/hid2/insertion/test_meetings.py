@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road
+from hand_drawn import draw_chain, draw_road
 from inserted import recorded, scene_on, sites_of
 
 from hid2.agents import Policy
@@ -17,13 +17,10 @@ from hid2.insertion.starts import Site
 from hid2.params import Config, Drivers, Spawn
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
-from netconvert.lane_graph import LaneGraph
 
 ROAD_M = 400.0
 #: A lane with a light at its end, 100 m, and the one beyond.
-LIT = LaneGraph({
-    1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)), 2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
-}, drivable_areas=())  # fmt: skip
+LIT = draw_chain(100.0, 400.0)
 
 
 def scene_of(*tracks: object, **spawn: float) -> Scene:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road
+from hand_drawn import draw_lane, draw_road, graph_of
 from inserted import changing, driven, scene_on, start_on
 
 from hid2.agents import Policy
@@ -13,7 +13,6 @@ from hid2.insertion.outcome import Outcome, gaps_at_request, outcome_of, takes_g
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
-from netconvert.lane_graph import LaneGraph
 
 
 @pytest.fixture
@@ -106,13 +105,11 @@ def bend(degrees: float) -> Scene:
     arc = np.array([60.0, 0.0]) + 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
     ahead = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
     on = arc[-1] + np.linspace(0.0, 200.0, 50)[:, None] * ahead
-    ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
-        2: draw_lane(2, arc, successors=(3,), is_intersection=True),
-        3: draw_lane(3, on),
-    }
-    return scene_on(LaneGraph(lanes, drivable_areas=(ring,)))
+    lanes = (
+        draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        draw_lane(2, arc, successors=(3,), is_intersection=True), draw_lane(3, on),
+    )  # fmt: skip
+    return scene_on(graph_of(*lanes, ground=[(-50.0, -50.0), (350.0, -50.0), (350.0, 350.0), (-50.0, 350.0)]))
 
 
 def test_turn_is_done_once_its_lane_is_behind() -> None:

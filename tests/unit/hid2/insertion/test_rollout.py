@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road, draw_track
+from hand_drawn import draw_chain, draw_lane, draw_road, draw_track, graph_of
 from inserted import recorded, scene_on, start_on
 
 from hid2.agents import FloatArray, Policy, Track
@@ -20,7 +20,6 @@ from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
-from netconvert.lane_graph import LaneGraph
 
 
 def world_of(*tracks: Track) -> World:
@@ -164,11 +163,10 @@ def test_a_cell_that_begins_farther_on_takes_a_vehicle_there() -> None:
     """SUMO puts a vehicle as far into the facing cell as into its own: 2 m on where the lane beside begins 2 m on."""
     driven_on = []
     for begin_m in (0.0, 2.0):
-        lanes = [
+        scene = scene_on(graph_of(
             draw_lane(1, [(0.0, 0.0), (300.0, 0.0)], left=2),
             draw_lane(2, [(begin_m, 3.5), (300.0 + begin_m, 3.5)], right=1),
-        ]
-        scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}))
+        ))  # fmt: skip
         world = world_on(scene)
         before, onto = world.roll_manoeuvre(start_on(scene, (1,), 50.0, 10.0, policy=Policy.LANE_CHANGE))[1]
         assert onto.s[0] == pytest.approx(before.s[-1])
@@ -182,14 +180,14 @@ def test_lane_change_that_a_lane_refused_is_not_said_to_have_had_no_lane(
 ) -> None:
     """The lane beside ends as one at 100 m, after 4 s; a car drives there beside the vehicle. Or there is none."""
     has = beside_m is not None
-    lanes = [
+    graph = graph_of(
         draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,), left=2 if has else None),
         draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], successors=(4,), right=1 if has else None),
         draw_lane(3, [(100.0, 0.0), (300.0, 0.0)]),
         draw_lane(4, [(100.0, 3.5), (300.0, 3.5)]),
-    ]
+    )
     beside = [recorded(beside_m, 3.5, 10.0)] if beside_m is not None else []
-    scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}), *beside)
+    scene = scene_on(graph, *beside)
     world = world_on(scene)
     vehicle, _ = world.roll_manoeuvre(start_on(scene, (1, 3), 60.0, 10.0, policy=Policy.LANE_CHANGE))
     assert vehicle.stage is Stage.ABORTED
@@ -230,11 +228,7 @@ def test_none_is_to_enter_where_it_has_been_red_for_long(
     monkeypatch: pytest.MonkeyPatch, since: int, reason: Reason | None
 ) -> None:
     """At 10 m/s from 60 m on the front is at the entrance at step 38: red for 1.6 s is long, for 1 s amber."""
-    graph = LaneGraph({
-        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
-        2: draw_lane(2, [(100.0, 0.0), (300.0, 0.0)], is_intersection=True),
-    }, drivable_areas=())  # fmt: skip
-    scene = scene_on(graph)
+    scene = scene_on(draw_chain(100.0, 300.0, crossing=2))
     closed = np.arange(scene.num_steps)[None] >= since
     line = ClosedLines(np.array([97.0]), np.array([120.0]), closed, np.array([CAUSES.index("signal")]))
     monkeypatch.setattr(StopLines, "on", lambda *_: line)
@@ -252,12 +246,7 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
 
     Before, it stood at the beginning for a step or two.
     """
-    graph = LaneGraph({
-        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
-        2: draw_lane(2, [(100.0, 0.0), (125.0, 0.0)], successors=(3,), is_intersection=True),
-        3: draw_lane(3, [(125.0, 0.0), (300.0, 0.0)]),
-    }, drivable_areas=())  # fmt: skip
-    scene = scene_on(graph)
+    scene = scene_on(draw_chain(100.0, 125.0, 300.0, crossing=2))
     world = world_on(scene)
     start = start_on(scene, (1, 2, 3), 60.0, 10.0)
     v = np.full(scene.num_steps, 10.0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_crossing, draw_lane, draw_road
+from hand_drawn import draw_chain, draw_crossing, draw_lane, draw_road, graph_of
 from inserted import CAR, DRIVER, guard_of, recorded, scene_on, sites_of, start_on
 from scipy.stats import chisquare
 
@@ -23,7 +23,6 @@ from hid2.params import Config, LaneChange, Request, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
-from netconvert.lane_graph import LaneGraph
 
 ROAD_M = 300.0
 
@@ -41,13 +40,11 @@ def scene_of(*tracks: Track, sites: str = "promising", lanes: int = 2, length_m:
 def _left_turn_scene(at_m: float) -> Scene:
     """One lane that turns to the left at so many metres, and no recorded vehicle."""
     bend = [(at_m + 15.0 * np.sin(a), 15.0 - 15.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 12)]
-    return scene_on(
-        LaneGraph({
-            1: draw_lane(1, [(0.0, 0.0), (at_m, 0.0)], successors=(2,)),
-            2: draw_lane(2, bend, successors=(3,), is_intersection=True),
-            3: draw_lane(3, [bend[-1], (at_m + 15.0, 200.0)]),
-        }, drivable_areas=())
-    )  # fmt: skip
+    return scene_on(graph_of(
+        draw_lane(1, [(0.0, 0.0), (at_m, 0.0)], successors=(2,)),
+        draw_lane(2, bend, successors=(3,), is_intersection=True),
+        draw_lane(3, [bend[-1], (at_m + 15.0, 200.0)]),
+    ))  # fmt: skip
 
 
 def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
@@ -88,10 +85,16 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     """
     scene = scene_of(recorded(2.3, 0.0, 18.0), lanes=1, max_speed_mps=10.0)
     sites = sites_of(scene)
-    assert all(start.start_m > 75.0 for start in _many(scene, 25))
-    for number in range(10):
-        sites.propose(_request(number))
+    starts = [start for number in range(10) for start in sites.propose(_request(number))]
+    assert all(start.start_m > 75.0 for start in starts)
     assert sites.starts.refusals[Reason.TTC_RECORDED_FOLLOWER] > 0
+
+
+def test_start_that_harms_a_recorded_follower_later_is_refused_with_the_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(World, "harm_to_followers", lambda *_: Reason.FOLLOWER_BRAKING)
+    sites = sites_of(scene_of(lanes=1))
+    site = Site(sites.here.routes.offers(1)[0], 100.0)
+    assert sites.starts.make(_request(), site, driver=DRIVER) is Reason.FOLLOWER_BRAKING
 
 
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
@@ -136,8 +139,7 @@ def test_lane_changer_that_is_driven_again_is_known_on_its_way_across(sites: str
 def test_slow_start_looks_for_sharp_curves_as_far_as_it_comes(at_m: float, begins: bool) -> None:
     """At 3 m/s from s = 10, at 10 m/s after 4.4 s: 95 m in a scene, 36 at the speed of the start. R = 3 m, 5 needed."""
     bend = [(at_m + 3.0 * np.sin(a), 3.0 - 3.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 9)]
-    lanes = {1: draw_lane(1, [(0.0, 0.0), *bend, (at_m + 3.0, 200.0)])}
-    sites = sites_of(scene_on(LaneGraph(lanes, drivable_areas=())))
+    sites = sites_of(scene_on(graph_of(draw_lane(1, [(0.0, 0.0), *bend, (at_m + 3.0, 200.0)]))))
     site = Site(sites.here.routes.offers(1)[0], 10.0)
     made = sites.starts.make(_request(), site, driver=DRIVER, speed_mps=3.0)
     assert isinstance(made, Start) if begins else made is Reason.LIMIT_CURVATURE
@@ -258,11 +260,10 @@ def test_lane_changes_start_where_a_lane_is_beside_at_the_trigger() -> None:
 
     last for 1.3 * 2.5 s and half a second more: from about 120 - 34 = 86 m at the latest, so starts before 55 m.
     """
-    graph = LaneGraph({
-        1: draw_lane(1, [(0.0, 0.0), (120.0, 0.0)], left=2, successors=(3,)),
-        2: draw_lane(2, [(0.0, 3.5), (120.0, 3.5)], right=1),
-        3: draw_lane(3, [(120.0, 0.0), (300.0, 0.0)]),
-    })  # fmt: skip
+    graph = graph_of(
+        draw_lane(1, [(0.0, 0.0), (120.0, 0.0)], left=2, successors=(3,)),
+        draw_lane(2, [(0.0, 3.5), (120.0, 3.5)], right=1), draw_lane(3, [(120.0, 0.0), (300.0, 0.0)]),
+    )  # fmt: skip
     scene = scene_on(graph, config=Config(spawn=Spawn(prior_speed_mps=9.0)))
     own = [s for s in _many(scene, 30, policy=Policy.LANE_CHANGE, trigger_s=4.0) if s.path.segment_at(5.0).lane_id == 1]
     assert own
@@ -300,7 +301,7 @@ def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begi
 
 
 @pytest.mark.parametrize(("side", "lane_id"), [("left", 1), ("right", 2)])
-def test_rule_that_takes_one_side_alone_finds_itssites_of(
+def test_rule_that_takes_one_side_alone_finds_its_sites(
     side: str, lane_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two lanes, 1 to the right of 2: who is to change to the left begins on 1, to the right on 2."""
@@ -402,13 +403,8 @@ def test_none_begins_nearer_ahead_of_a_recorded_follower_than_drivers_follow(
 
 
 def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None:
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
-        2: draw_lane(2, [(60.0, 0.0), (90.0, 0.0)], successors=(3,), is_intersection=True),
-        3: draw_lane(3, [(90.0, 0.0), (200.0, 0.0)]),
-    }
     config = Config(request=Request(near="anywhere"), spawn=Spawn(prior_speed_mps=9.0))
-    scene = scene_on(LaneGraph(lanes, drivable_areas=()), config=config)
+    scene = scene_on(draw_chain(60.0, 90.0, 200.0, crossing=2), config=config)
     begun = Counter(one.path.segment_at(one.start_m).lane_id for one in _many(scene, 30))
     assert begun.total() == 30
     assert begun[2] == 0
