@@ -2,6 +2,7 @@
 
 Not part of the default run: `pytest -m benchmark -s`, or as a script with a choice of scenes, counts and seeds:
 
+    export PYTHONPATH=tests/support
     python tests/benchmarks/test_time_over_limit.py --agents 10 20 40 max --seeds 0 1 [--only 00a 3b3]
 
 All in one warm process and in processor time, which hardly changes when others use the machine:
@@ -24,26 +25,18 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-from shared_data import ROOTS
+from shared_data import SHARED_DATA
+from unsteered import simulate_unsteered, unsteered_start
 
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.poses import front_arc_m, sumo_poses
-from bridge.sumo.simulation import Simulation  # it silences a remark of libsumo's import on stdout
-from bridge.sumo.steering import edges_along
-from hid2.agents import FloatArray
-from hid2.occupancy.traffic import Traffic
+from bridge.sumo.poses import sumo_poses
+from bridge.sumo.simulation import Simulation
 from hid2.params import Config, Request
-from hid2.scene import Scene
-from hid2.vehicle import Start
-
-import libsumo  # after it  # isort: skip
 
 #: Time over the limit, at most, in the median over the scenes and in the worst; driven for one kept in the median.
 MOST = {10: (5.5, 12.0, 1.4), 20: (8.5, 18.0, 1.6)}
@@ -79,61 +72,17 @@ class Timing:
         return self.driven / max(1, self.placed)
 
 
-def _unsteered(scene: Scene, begun: Start) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """A vehicle's edges, and where and how fast it begins on the first, as SUMO takes it."""
-    front = front_arc_m(begun.start_m, begun.size.length_m)
-    segment = begun.path.segment_at(front)
-    lane_m = segment.lane_m(front)
-    cell = scene.grid.cell_at(segment.lane_id, lane_m)
-    edges = edges_along(scene, begun.path, cell)
-    assert edges is not None
-    at_m = max(0.0, lane_m - float(scene.grid.edges_m[cell.lane_id][cell.index]))
-    departs = {"departPos": f"{at_m:.3f}", "departSpeed": f"{begun.start_mps:.3f}"}
-    return edges, {"departLane": str(scene.grid.lane_index(cell)), **departs}
-
-
-def _simulate(
-    net: Path, traffic: Traffic, poses: tuple[FloatArray, FloatArray], starts: Sequence[tuple[tuple[str, ...], Any]]
-) -> None:
-    """Nothing but what SUMO itself needs, from loading the net to closing: agents replayed, vehicles unsteered."""
-    front, angle = poses
-    libsumo.start([
-        "sumo", "--net-file", str(net), "--step-length", "0.1", "--seed", "0", "--collision.action", "none",
-        "--time-to-teleport", "-1", "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
-    ])  # fmt: skip
-    vehicle = libsumo.vehicle
-    libsumo.vehicletype.copy("DEFAULT_VEHTYPE", "recorded")
-    libsumo.vehicletype.setVehicleClass("recorded", "ignoring")
-    libsumo.route.add("replay", [libsumo.edge.getIDList()[0]])
-    inside: set[int] = set()
-    for step in range(traffic.num_steps):
-        here = set(np.flatnonzero(traffic.present[:, step]).tolist())
-        for row in inside - here:
-            vehicle.remove(f"r{row}")
-        for row in here - inside:
-            vehicle.add(f"r{row}", "replay", typeID="recorded", depart="now")
-        for row in here:
-            x, y = front[row, step].tolist()
-            vehicle.moveToXY(f"r{row}", "", -1, x, y, float(angle[row, step]), keepRoute=6, matchThreshold=3.0)
-        inside = here
-        for row, (edges, departs) in enumerate(starts if step == 0 else ()):
-            libsumo.route.add(f"way{row}", list(edges))
-            vehicle.add(f"v{row}", f"way{row}", depart="now", **departs)
-        libsumo.simulationStep()
-    libsumo.close()
-
-
 def _limit_s(folder: Path, made: TrafficScene, config: Config, beside: Path) -> float:
     """Processor time of what every way of making a scene would need, s."""
     prepared: PreparedScene = prepare(read_scenario(folder), config)
     recorded = prepared.surroundings(config).scene
     traffic = recorded.traffic.span(slice(recorded.num_steps))
-    starts = [_unsteered(recorded, vehicle.driven.start) for vehicle in made.vehicles]
-    poses = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])
+    starts = [unsteered_start(recorded, vehicle.driven.start) for vehicle in made.vehicles]
+    front, angle = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])
     began = time.process_time()
     net = beside / "scene.net.xml"
     net.write_bytes(prepare(read_scenario(folder), config).net(config))
-    _simulate(net, traffic, poses, starts)
+    simulate_unsteered(net, traffic, front, angle, starts)
     made.write(beside / "limit")
     return time.process_time() - began
 
@@ -199,9 +148,11 @@ def summary(timings: Sequence[Timing]) -> str:
 @pytest.mark.benchmark
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("agents", sorted(MOST))
-def test_scene_takes_few_times_its_limit(agents: int, fourteen_scenes: list[Path]) -> None:
-    warm_up(fourteen_scenes[0])
-    timings = [measure(folder, str(agents), 0) for folder in fourteen_scenes]
+def test_scene_takes_few_times_its_limit(agents: int, shared_data: Path) -> None:
+    folders = [folder for name in ("av2", "wide") for folder in find_scenarios(shared_data / name)]
+    assert len(folders) == 14
+    warm_up(folders[0])
+    timings = [measure(folder, str(agents), 0) for folder in folders]
     print("\n" + "\n".join([_HEAD, *map(_row, timings), summary(timings)]))
     median, worst, driven = MOST[agents]
     assert statistics.median(one.over for one in timings) <= median
@@ -215,11 +166,11 @@ def main() -> None:
     parser.add_argument("--agents", nargs="+", default=["10", "20"], help="numbers, or max")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--only", nargs="+", default=[""], help="scenes whose id begins with one of these")
-    parser.add_argument("--roots", type=Path, nargs="+", default=ROOTS, help="data-set roots")
+    parser.add_argument("--roots", type=Path, nargs="+", help="data-set roots, by default the shared real scenes")
     options = parser.parse_args()
     folders = [
         folder
-        for root in options.roots
+        for root in options.roots or (SHARED_DATA / "av2", SHARED_DATA / "wide")
         for folder in find_scenarios(root)
         if folder.name.startswith(tuple(options.only))
     ]
