@@ -4,32 +4,18 @@ Cells, occupancy and dwell times are in netconvert/test_cells.py and hid2/occupa
 manoeuvres in hid2/policy; the three conflicts in hid2/conflicts/test_guard.py; s(t), d(t) and curvature in hid2/motion.
 """
 
-from dataclasses import replace
-from functools import partial
-
 import numpy as np
 import pytest
 import shapely
-from gap_view import VIEW
 from hand_drawn import draw_two_lanes
 from inserted import recorded, scene_on, sites_of
 
 from hid2.insertion.requests import draw_requests
-from hid2.judge.findings import MotionProfile
 from hid2.motion.smoothing import smooth_motion
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL
-from hid2.params import Config, LaneChange, Limits, Request, Turn
-from hid2.policies import Policy
-from hid2.policy.roads import f_left, f_right
-from hid2.policy.rules import rule_reason
-from hid2.reasons import Reason
-from netconvert.geometry import differences
+from hid2.params import Config, Request
 
 DELTA = 0.1
-
-
-def test_policies_are_those_of_the_paper() -> None:
-    assert {p.value for p in Policy} == {"straight", "left_turn", "right_turn", "lane_change", "overtake"}
 
 
 def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
@@ -54,24 +40,6 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
         taken |= set(under.tolist())
 
 
-def test_remaining_length_of_the_target_lane_is_not_below_a_threshold() -> None:
-    """25 m are asked for by the paper's rule: 24 m are too few."""
-    view = replace(VIEW, remaining_m=25.0)
-    params = LaneChange(rule="paper", min_remaining_m=25.0)
-    assert rule_reason(view, params) is None
-    assert rule_reason(replace(view, remaining_m=24.0), params) == Reason.LANE_ENDS
-
-
-def test_f_left_is_below_f_right_is_at_most_1_with_its_trough_early_to_mid_turn() -> None:
-    """v = v_0 f(alpha), f_right(alpha) > f_left(alpha); 1 at the entrance and the exit."""
-    alpha, turn = np.linspace(0.0, 1.0, 201), Turn()
-    left, right = f_left(alpha, turn), f_right(alpha, turn)
-    assert np.all(left[1:-1] < right[1:-1])
-    assert np.all(right <= 1.0)
-    assert left[[0, -1]] == pytest.approx([1.0, 1.0])
-    assert 0.1 <= alpha[np.argmin(left)] <= 0.6
-
-
 def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:
     """Between steps s is the cubic with v and a at both ends: its increment is dt (v0 + v1) / 2 - dt^2 (a1 - a0) / 12.
 
@@ -85,12 +53,3 @@ def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:
     assert motion.a[20] == pytest.approx(2.4, abs=1e-2)
     step = 0.5 * DELTA * (motion.v[1:] + motion.v[:-1]) - DELTA**2 / 12.0 * np.diff(motion.a)
     assert np.diff(motion.s) == pytest.approx(step)
-
-
-def test_lateral_acceleration_is_curvature_times_speed_squared() -> None:
-    """R = 20 m at 8 m/s: 0.05 * 64 = 3.2 m/s2, below a_y,max = 4.89."""
-    angle = 8.0 / 20.0 * DELTA * np.arange(40)
-    velocity = 8.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    profile = MotionProfile.of(velocity, angle, partial(differences, step=DELTA))
-    assert profile.lateral_accel_mps2[1:-1] == pytest.approx(np.full(38, 3.2), rel=2e-3)
-    assert Limits().lateral_accel_mps2 == 4.89

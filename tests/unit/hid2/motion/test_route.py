@@ -37,11 +37,6 @@ def _path(graph: LaneGraph, *route: int) -> routing.DrivenPath:
     return routing.LanePaths(graph, Limits()).along(route)
 
 
-def test_points_of_a_route_hold_every_joint_once(forked: LaneGraph) -> None:
-    points = routing.route_points(forked, (1, 2, 5))
-    assert points.tolist() == [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0], [150.0, 0.0]]
-
-
 def test_segments_meet_and_cover_the_path(forked: LaneGraph) -> None:
     """Lane 1 is 50 m; lane 3 is an arc of 15 pi / 2 = 23.6 m; lane 4 is 60 m."""
     path = _path(forked, 1, 3, 4)
@@ -134,14 +129,6 @@ def test_lane_beside_is_known_so_far_back_as_is_asked_for(
         for place, (n, onward) in enumerate(((3, (4,)), (4, (5,)), (5, ())))
     } | {6: draw_lane(6, [(80.0, 0.0), (120.0, 0.0)])})  # fmt: skip
     assert routing.LanePaths(graph, Limits()).route_beside((6,), 5) == route
-
-
-def test_circle_of_lanes_is_driven_once() -> None:
-    angle = np.linspace(0.0, np.pi, 30)
-    half = 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    ring = LaneGraph({1: draw_lane(1, half, successors=(2,)), 2: draw_lane(2, [0.0, 40.0] - half, successors=(1,))})
-    routes = list(routing.routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
-    assert routes == [(1, 2)]
 
 
 def test_no_route_comes_back_over_itself() -> None:
