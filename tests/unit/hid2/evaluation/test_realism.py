@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hand_drawn import draw_road
+from hand_drawn import draw_driven, draw_road
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import wasserstein_distance
 from views import lane_view
 
-from hid2.agents import BoxSize, Track
 from hid2.evaluation import realism
 from hid2.evaluation.kinematics import motion
 from hid2.evaluation.safety import safety
@@ -56,15 +55,8 @@ def test_halves_are_halves_and_the_same_every_time():
 
 
 def _lanes_full(rng, prefix, speeds):
-    tracks = []
-    for k, speed in enumerate(speeds):
-        x = speed * 0.1 * np.arange(70) + rng.normal(0, 0.003, 70)
-        position = np.column_stack([x, np.full(70, 3.5 * (k % 2))])
-        velocity = np.column_stack([np.full(70, speed), np.zeros(70)])
-        tracks.append(
-            Track(f"{prefix}{k}", "vehicle", 1, np.arange(70), position, np.zeros(70), velocity, BoxSize(4, 2))
-        )
-    return tracks
+    x = np.outer(speeds, 0.1 * np.arange(70)) + rng.normal(0, 0.003, (len(speeds), 70))
+    return [draw_driven(f"{prefix}{k}", np.column_stack([x[k], np.full(70, 3.5 * (k % 2))])) for k in range(len(x))]
 
 
 def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_near_it():

@@ -42,6 +42,15 @@ def states(*tracks: Track) -> AgentStates:
     return agent_states(tracks, flatten_lanes(draw_road()), num_steps=STEPS, step_s=0.1)
 
 
+@pytest.mark.parametrize(("at_s", "found"), [(5.0, 0), (5.4, 0), (5.6, 1), (2.0, 1)])
+def test_lane_change_is_claimed_at_its_crossing(at_s: float, found: int) -> None:
+    """The centre is between the lanes, at y = 1.75, after 5 s; half a second is allowed."""
+    scene = states(_drive("gen_0", 20.0, 10.0, _across(5.0)))
+    seen = judge_claims(scene, [Claim("gen_0", ManeuverKind.LANE_CHANGE, at_s)], [])
+    assert len(seen) == found
+    assert all(one.value == pytest.approx(abs(at_s - 5.0), abs=0.02) for one in seen)
+
+
 def test_manoeuvre_of_another_kind_or_of_none_and_event_with_a_track_that_is_not_there_are_not_seen() -> None:
     scene = states(_drive("gen_0", 20.0, 10.0))
     (one,) = judge_claims(scene, [Claim("gen_0", ManeuverKind.LANE_CHANGE, 5.0)], [])
@@ -95,6 +104,14 @@ def test_figures_that_are_told_are_those_of_the_states() -> None:
     gap, ttc = judge_claims(scene, [], [wrong])
     assert (gap.quantity, gap.value, gap.step) == (Quantity.CLAIMED_GAP, pytest.approx(2.0, abs=0.05), 50)
     assert (ttc.quantity, ttc.value, ttc.other) == (Quantity.CLAIMED_TTC, math.inf, "t")
+
+
+def test_vehicle_that_is_in_the_lane_all_the_time_cuts_into_nothing() -> None:
+    """The target comes into the vehicle's lane; or the vehicle changes to a lane that the target comes to later."""
+    for target_y, own_y in ((_across(5.0, start=3.5, to=0.0), 0.0), (_across(8.0), _across(3.0))):
+        target, own, claim = _cut_in(target_y, own_y)
+        (found,) = judge_claims(states(target, own), [], [claim])
+        assert (found.track_id, found.other, found.value) == ("gen_0", "t", math.inf)
 
 
 def test_change_of_lanes_far_ahead_of_the_target_is_no_cut_in() -> None:

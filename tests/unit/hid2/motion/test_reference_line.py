@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
-from netconvert.geometry import Polyline
+from netconvert.geometry import Polyline, resample
 
 
 def _line(points: np.ndarray, **changes: float) -> ReferenceLine:
@@ -63,6 +63,14 @@ def test_corner_is_rounded_but_not_cut() -> None:
     line = _line(kink)
     assert np.abs(Polyline(kink).frenet(line.table_xy)[1]).max() <= 0.6
     assert np.abs(line.table_curvature).max() <= 1.0 / 5.0
+
+
+def test_wider_allowance_gives_a_gentler_corner_within_it() -> None:
+    """An arc through a corner of 90 degrees leaves it by 0.41 R: R = 5 m needs 2.1 m, more than is allowed."""
+    corner = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 30.0]])
+    tight, wide = _line(corner), _line(corner, max_offset_m=2.0)
+    assert np.abs(wide.table_curvature).max() < np.abs(tight.table_curvature).max()
+    assert np.hypot(*(wide.points - resample(corner, step_m=1.0)).T).max() <= 2.0
 
 
 def test_bend_of_eight_metres_needs_no_more_smoothing() -> None:

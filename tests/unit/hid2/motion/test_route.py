@@ -131,6 +131,14 @@ def test_lane_beside_is_known_so_far_back_as_is_asked_for(
     assert routing.LanePaths(graph, Limits()).route_beside((6,), 5) == route
 
 
+def test_circle_of_lanes_is_driven_once() -> None:
+    angle = np.linspace(0.0, np.pi, 30)
+    half = 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    ring = LaneGraph({1: draw_lane(1, half, successors=(2,)), 2: draw_lane(2, [0.0, 40.0] - half, successors=(1,))})
+    routes = list(routing.routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
+    assert routes == [(1, 2)]
+
+
 def test_no_route_comes_back_over_itself() -> None:
     """Lane 3 leads down across lane 1: of an agent there the path would have one interval from 40 to 130 m."""
     bow = [(60.0, 0.0), (75.0, 15.0), (60.0, 30.0), (40.0, 30.0)]
