@@ -27,6 +27,21 @@ def test_exported_way_stays_by_the_simulated_one() -> None:
     assert np.abs(_smooth(v).s - _driven(v)).max() < 0.5
 
 
+def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:
+    """Between steps s is the cubic with v and a at both ends: its increment is dt (v0 + v1) / 2 - dt^2 (a1 - a0) / 12.
+
+    v = 8 + 0.6 t^2 (a = 1.2 t) is kept by a narrow filter inside; over 1 s from t = 2: 8 + 0.2 (3^3 - 2^3) = 11.8 m.
+    Differences over two steps make of v what is 0.2 delta^2 = 0.002 m/s faster.
+    """
+    t = np.arange(51) * DT
+    s = 5.0 + 8.0 * t + 0.2 * t**3
+    motion = smooth_motion(s, filter_s=0.02, step_s=DT)
+    assert motion.s[30] - motion.s[20] == pytest.approx(11.802, abs=1e-3)
+    assert motion.a[20] == pytest.approx(2.4, abs=1e-2)
+    step = 0.5 * DT * (motion.v[1:] + motion.v[:-1]) - DT**2 / 12.0 * np.diff(motion.a)
+    assert np.diff(motion.s) == pytest.approx(step)
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_nobody_rolls_backwards_or_below_zero(seed: int) -> None:
     """Stop and go with jumps down to 0, at both ends too."""
