@@ -1,11 +1,7 @@
-import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from av2.map.map_api import ArgoverseStaticMap
 
 from bridge.recordings.map_rules import graph_of
 from netconvert.errors import MapError
@@ -58,28 +54,6 @@ def test_a_lane_segment_has_its_points_once_its_width_and_turn_and_an_area_is_cl
     assert (lane.width_m, lane.length_m, lane.turn) == (4.0, 50.0, TurnType.STRAIGHT)
     assert graph.drivable_areas[0].shape == (5, 2)
     assert (graph.drivable_areas[0][0] == graph.drivable_areas[0][-1]).all()
-
-
-def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path) -> None:
-    """Boundaries with different numbers of points and different heights: av2 spaces its ten rungs in space."""
-    rng = np.random.default_rng(3)
-    segments = []
-    for lane_id in range(1, 5):
-        left = np.column_stack([np.sort(rng.uniform(0, 60, 7)), 2 + rng.normal(0, 1, 7), rng.normal(0, 2, 7)])
-        right = np.column_stack([np.sort(rng.uniform(0, 60, 4)), -2 + rng.normal(0, 1, 4), rng.normal(0, 2, 4)])
-        boundaries = {
-            f"{side}_lane_boundary": [dict(zip("xyz", point, strict=True)) for point in points.tolist()]
-            for side, points in (("left", left), ("right", right))
-        }
-        segments.append(lane_json(lane_id, STRAIGHT, **boundaries, centerline=None))
-        del segments[-1]["centerline"]
-    path = tmp_path / "log_map_archive_x.json"
-    document = map_json(*segments)
-    path.write_text(json.dumps(document))
-    graph, theirs = graph_of(document, name="map"), ArgoverseStaticMap.from_json(path)
-    for lane_id, lane in graph.lanes.items():
-        expected = theirs.get_lane_segment_centerline(lane_id)[:, :2]
-        assert np.abs(lane.centerline - expected).max() < 1e-9
 
 
 @pytest.mark.parametrize("second", [[(13.0, -5.0), (13.0, 5.0)], [(13.0, 5.0), (13.0, -5.0)]])

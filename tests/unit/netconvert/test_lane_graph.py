@@ -38,6 +38,7 @@ def test_the_neighbour_that_runs_the_opposite_way_is_no_neighbour(lane: Lane, gr
     )
     assert made.neighbor(1, "left") == 2
     assert made.neighbor(2, "right") == 1
+    assert not made.may_change(1, "right")
     assert made.neighbor(2, "left") is None
     assert {(link.source, link.reason) for link in made.dropped} == {
         (2, "the other lane runs the opposite way"),
