@@ -8,9 +8,10 @@ from hand_drawn import draw_lane, draw_road
 from inserted import CAR, DRIVER, nobody, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
-from hid2.conflicts.guard import Braking, Guard, OwnMotion
+from hid2.conflicts.guard import Braking, Guard, OwnMotion, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
 from hid2.kernels.guard import needed_braking
+from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL
 from hid2.params import Config, Conflict
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph
@@ -38,6 +39,10 @@ def _braking(
     state = np.array([[*one, 1.0] for one in fleet])
     going = OwnMotion(fleet[own][:3], 10.0, np.full(path.line.table_xy.shape[0], np.inf), DRIVER)
     return guard.braking(guard.obstacles(path, CAR, others), going, step, state, own=own, horizon_s=None)
+
+
+def test_case_1_cell_held_by_an_original_agent_rejects_the_transition() -> None:
+    assert [transition_rejected(sigma) for sigma in (ORIGINAL, FREE, GENERATED)] == [True, False, False]
 
 
 @pytest.mark.parametrize(("margin_m", "is_met"), [(1.5, False), (1.7, True)])
