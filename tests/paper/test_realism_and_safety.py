@@ -2,19 +2,17 @@
 
 import numpy as np
 import pytest
+from hand_drawn import draw_track
 
-from hid2.agents import BoxSize, Track
+from hid2.agents import BoxSize
 from hid2.evaluation.kinematics import kinematics, motion
 from hid2.evaluation.safety import colliding, off_road, overlaps
 from hid2.measures.arrays import stack
 from netconvert.lane_graph import LaneGraph
 
 
-def make_track(x, y=0.0, heading=0.0, *, name="t", kind="vehicle", first=0, size=None):
-    steps = np.arange(first, first + len(x))
-    position = np.column_stack([x, np.broadcast_to(y, len(x))]).astype(float)
-    headings = np.broadcast_to(np.asarray(heading, dtype=float), len(x)).copy()
-    return Track(name, kind, 1, steps, position, headings, np.zeros((len(x), 2)), size or BoxSize(4.0, 2.0))
+def make_track(x, y=0.0, heading=0.0, *, name="t"):
+    return draw_track(range(len(x)), x, y, heading, track_id=name, size=BoxSize(4.0, 2.0))
 
 
 def measured(track):
@@ -49,8 +47,7 @@ def test_tracks_of_less_than_five_steps_are_not_counted_and_missing_steps_keep_t
     arrays = stack([make_track(np.arange(4.0), name="a"), make_track(np.arange(5.0), name="b")], step_s=0.1)
     assert kinematics(arrays, motion(arrays)).counted.tolist() == [False, True]
     steps = np.array([0, 1, 2, 3, 7, 8, 9, 10])
-    position = np.column_stack([steps * 1.0, np.zeros(8)])
-    track = Track("t", "vehicle", 1, steps, position, np.zeros(8), np.zeros((8, 2)), BoxSize(4, 2))
+    track = draw_track(steps, steps)
     assert measured(track).lo[0] == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(motion(stack([track], step_s=0.1)).speed_mps, 10.0)
 

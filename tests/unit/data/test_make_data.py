@@ -91,29 +91,6 @@ def test_motion_is_smooth_and_possible(scenario: Recording) -> None:
         assert np.abs(np.sin((track.heading[fast] - course) / 2)).max(initial=0.0) < 0.001
 
 
-def test_links_are_mutual_and_meet(scenario: Recording) -> None:
-    lanes = scenario.graph.lanes
-    for lane in lanes.values():
-        for successor in lane.successors:
-            assert np.array_equal(lane.centerline[-1], lanes[successor].centerline[0])
-        for side, other in (("left", "right"), ("right", "left")):
-            neighbor = scenario.graph.neighbor(lane.lane_id, side)
-            assert neighbor is None or scenario.graph.neighbor(neighbor, other) == lane.lane_id
-    assert all(link.kind in ("left_neighbor", "right_neighbor") for link in scenario.graph.dropped)
-
-
-def test_arterial_has_slow_leaders_beside_free_lanes(data_scenes: dict[str, Path]) -> None:
-    scenario = read_scenario(data_scenes["arterial"])
-    rows = {lane_id for lane_id in scenario.graph.lanes if scenario.graph.neighbor(lane_id, "left") is not None}
-    middle = [lane_id for lane_id in rows if scenario.graph.neighbor(lane_id, "right") is not None]
-    assert len(middle) == 6
-    assert sum(scenario.graph.lanes[lane_id].length_m for lane_id in middle) == pytest.approx(320, abs=2)
-    assert all(scenario.graph.may_change(lane_id, side) for lane_id in middle for side in ("left", "right"))
-    speeds = [track.speed.mean() for track in scenario.tracks if track.object_type == "vehicle" and track.path_m > 5]
-    assert sum(5 <= speed <= 6.5 for speed in speeds) == 2
-    assert sum(10 <= speed <= 14.1 for speed in speeds) >= 6
-
-
 def test_example_configurations_are_valid(data_root: Path) -> None:
     examples = sorted((data_root.parent / "configs").glob("*.toml"))
     assert examples

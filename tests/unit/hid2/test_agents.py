@@ -1,10 +1,7 @@
-import copy
-import pickle
-
 import numpy as np
 import pytest
 
-from hid2.agents import DEFAULT_SIZES, VEHICLE_TYPES, BoxSize, Track
+from hid2.agents import BoxSize, Track
 
 
 def test_speed_and_path_of_a_track() -> None:
@@ -13,14 +10,3 @@ def test_speed_and_path_of_a_track() -> None:
     track = Track("1", "vehicle", 1, np.arange(3), position, np.zeros(3), velocity, BoxSize(4.5, 1.9))
     assert track.speed.tolist() == [5.0, 0.0, 2.0]
     assert track.path_m == pytest.approx(11.0)
-
-
-def test_box_size_is_a_pair_with_names() -> None:
-    size = BoxSize(4, 2)
-    assert (size.length_m, size.width_m) == size == (4.0, 2.0)
-    assert hash(size) == hash((4.0, 2.0))
-    assert pickle.loads(pickle.dumps(size)) == copy.deepcopy(size) == size  # it travels between processes
-
-
-def test_every_vehicle_type_has_a_size() -> None:
-    assert set(DEFAULT_SIZES) >= VEHICLE_TYPES

@@ -27,12 +27,6 @@ def test_values_that_contradict_each_other_are_refused_by_name(
         section(**values)
 
 
-def test_default_shares_cover_every_policy_and_sum_to_one() -> None:
-    shares = Request().behaviours
-    assert set(shares) == set(Policy)
-    assert sum(shares.values()) == pytest.approx(1.0)
-
-
 def test_configuration_is_frozen() -> None:
     with pytest.raises(ValidationError, match="frozen"):
         Config().request.agents = 3  # type: ignore[misc]

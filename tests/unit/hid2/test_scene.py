@@ -8,7 +8,7 @@ from hid2.agents import BoxSize, Track
 from hid2.drivers.driver import place_of_lane
 from hid2.params import Config, Request, Spawn
 from hid2.scene import Scene, build_scene, clearance_box
-from netconvert.cells import Cell, build_cell_grid
+from netconvert.cells import build_cell_grid
 
 
 def scene_of(*tracks: Track, num_steps: int = 110, request: dict[str, Any] | None = None, **sections: Any) -> Scene:
@@ -100,17 +100,3 @@ def test_vehicles_that_are_predicted_stay_as_long_as_they_must(
 ) -> None:
     """Context vehicles to timestep 49 at least, scored and focal ones through the whole scene."""
     assert scene_of(num_steps=steps, request=request_).first_exit_step == earliest
-
-
-def test_recorded_occupancy_is_known_beforehand() -> None:
-    """8 m/s from x = 10: after 5 s at 50 m, in cell 12 (48 .. 52), as is known from the start."""
-    scene = scene_of(_moving(10.0, 0.0, 8.0))
-    row = scene.grid.index_of[Cell(1, 12)]
-    assert (scene.occupancy.sigma[0, row], scene.occupancy.sigma[50, row]) == (0, 1)
-
-
-def test_cell_of_a_place_on_a_path() -> None:
-    """200 m of lane in 50 cells of 4 m."""
-    scene = scene_of()
-    path = scene.paths.along((1,))
-    assert [scene.cell_at(path, s).index for s in (0.0, 3.9, 4.1, 198.0)] == [0, 0, 1, 49]

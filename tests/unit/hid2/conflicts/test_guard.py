@@ -42,9 +42,7 @@ def _braking(
 
 
 def test_case_1_cell_held_by_an_original_agent_rejects_the_transition() -> None:
-    assert transition_rejected(ORIGINAL)
-    assert not transition_rejected(FREE)
-    assert not transition_rejected(GENERATED)
+    assert [transition_rejected(sigma) for sigma in (ORIGINAL, FREE, GENERATED)] == [True, False, False]
 
 
 @pytest.mark.parametrize(("margin_m", "is_met"), [(1.5, False), (1.7, True)])

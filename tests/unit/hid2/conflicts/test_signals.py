@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_box, draw_lane
+from hand_drawn import draw_driven, draw_lane
+from inserted import CAR, recorded
 from signal_entries import entries
 
-from hid2.agents import BoxSize, Track
+from hid2.agents import Track
 from hid2.conflicts.signals import InferredSignals
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import agent_states
-from hid2.occupancy.traffic import Traffic
 from hid2.params import Signals
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
@@ -39,33 +39,23 @@ LANES = (
 )
 
 
-def signals(*vehicles: Traffic, lanes: Sequence[LaneSegment] = LANES) -> InferredSignals:
+def signals(*tracks: Track, lanes: Sequence[LaneSegment] = LANES) -> InferredSignals:
     graph = LaneGraph({one.lane_id: one for one in lanes})
-    tracks = [
-        Track(name, "vehicle", 1, np.arange(STEPS), one.position[row], one.heading[row], one.velocity[row],
-              BoxSize(float(one.length_m[row]), float(one.width_m[row])))
-        for one in vehicles for row, name in enumerate(one.ids)
-    ]  # fmt: skip
     return InferredSignals(graph, agent_states(tracks, flatten_lanes(graph), num_steps=STEPS, step_s=0.1), PARAMS)
 
 
-def _along(name: str, points: Sequence[Sequence[float]], *, wait_steps: int = 0, mps: float = 10.0) -> Traffic:
+def _along(name: str, points: Sequence[Sequence[float]], *, wait_steps: int = 0, mps: float = 10.0) -> Track:
     """A car that waits at the first point and then drives along the points at a constant speed, heading along them."""
     xy = np.array(points, dtype=np.float64)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     at = np.minimum(mps * 0.1 * np.maximum(np.arange(STEPS) - wait_steps, 0), s[-1])
     position = np.column_stack([np.interp(at, s, xy[:, 0]), np.interp(at, s, xy[:, 1])])
     piece = np.diff(xy, axis=0)[np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(xy) - 2)]
-    velocity = np.gradient(position, 0.1, axis=0)
-    return Traffic(
-        ids=(name,), position=position[None], heading=np.arctan2(piece[:, 1], piece[:, 0])[None],
-        velocity=velocity[None], present=np.ones((1, STEPS), dtype=np.bool_),
-        length_m=np.array([4.5]), width_m=np.array([1.9]),
-    )  # fmt: skip
+    return replace(draw_driven(name, position, size=CAR), heading=np.arctan2(piece[:, 1], piece[:, 0]))
 
 
 #: On lane 2 from step 47 to 53.
-CROSSES = draw_box(10.0, -50.0, np.pi / 2, 10.0)
+CROSSES = recorded(10.0, -50.0, 10.0, heading=np.pi / 2)
 
 
 def _steps(red: np.ndarray | None) -> list[int]:
@@ -89,14 +79,14 @@ def test_cross_traffic_makes_red_two_seconds_before_and_three_after() -> None:
 def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(degrees: float, red: bool) -> None:
     """Through (10, 0) at step 50: a merge at 35 degrees, an oncoming vehicle at 150."""
     angle = np.radians(degrees)
-    scene = signals(draw_box(10 - 50 * np.cos(angle), -50 * np.sin(angle), angle, 10.0))
+    scene = signals(recorded(10 - 50 * np.cos(angle), -50 * np.sin(angle), 10.0, heading=angle))
     assert bool(scene.red(2).any()) is red
 
 
 def test_slow_or_parked_boxes_are_no_cross_traffic() -> None:
     """0.9 m/s across the lane is no flow; a box that stands on the crossing's ground is none either."""
-    assert not signals(draw_box(10.0, -5.0, np.pi / 2, 0.9)).red(2).any()
-    assert not signals(draw_box(10.0, -2.0, np.pi / 2, 0.0)).red(2).any()
+    assert not signals(recorded(10.0, -5.0, 0.9, heading=np.pi / 2)).red(2).any()
+    assert not signals(recorded(10.0, -2.0, heading=np.pi / 2)).red(2).any()
 
 
 def test_who_turns_off_from_the_same_approach_does_not_cross() -> None:
@@ -115,15 +105,15 @@ def test_who_turns_off_from_the_same_approach_does_not_cross() -> None:
 )  # fmt: skip
 def test_a_queue_stands_in_the_middle_third_near_the_entrance(x: float, y: float, red: bool) -> None:
     """A third of 3.5 m: 0.58 m to each side. Beyond it, who never moves is parked. 20 m before, 3 m behind."""
-    scene = signals(draw_box(x, y, 0.0, 0.0))
+    scene = signals(recorded(x, y))
     assert _steps(scene.red(2)) == (list(range(STEPS)) if red else [])
 
 
 def test_a_driver_that_comes_to_stand_saw_red_two_seconds_before() -> None:
     """From x = -35 at 5 m/s to -5 at step 60: it stands, by central differences, from step 61 on."""
-    comes = draw_box(-35.0, 0.0, 0.0, 5.0)
+    comes = recorded(-35.0, 0.0, 5.0)
     stands = np.minimum(comes.position, [-5.0, 0.0])
-    scene = signals(replace(comes, position=stands, velocity=np.gradient(stands, 0.1, axis=1)))
+    scene = signals(replace(comes, position=stands, velocity=np.gradient(stands, 0.1, axis=0)))
     assert _steps(scene.red(2)) == list(range(41, STEPS))
 
 
@@ -136,7 +126,7 @@ def test_a_driver_that_comes_to_stand_saw_red_two_seconds_before() -> None:
         ([_along("a", [(-108.5, 0.0), (40.0, 0.0)])], 109, ()),
         # the first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20
         (
-            [_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), draw_box(-12.0, 0.0, name="b")],
+            [_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), recorded(-12.0, 0.0, name="b")],
             36, (*range(26), *range(57, STEPS)),
         ),
         # cross traffic on the lane from 47 to 53, red from 27 to 83: an entry at 61 clears 51 to 81, not below 53 + 10
@@ -147,7 +137,7 @@ def test_a_driver_that_comes_to_stand_saw_red_two_seconds_before() -> None:
     ids=["queue at the side", "inside at last", "queue behind", "soon after cross traffic", "cross traffic to come"],
 )  # fmt: skip
 def test_an_entry_makes_green_from_a_second_before_it_on(
-    vehicles: list[Traffic], enters: int, red: Iterable[int]
+    vehicles: list[Track], enters: int, red: Iterable[int]
 ) -> None:
     scene = signals(*vehicles)
     assert _steps(entries(scene, 2)) == [enters]
@@ -174,7 +164,7 @@ def test_straight_on_is_red_while_the_opposite_queue_stands(y: float, red: int) 
 def test_a_right_turn_says_nothing_of_the_way_straight_on() -> None:
     """What turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
     turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)
-    scene = signals(turning, draw_box(-12.0, 0.0, name="b"))
+    scene = signals(turning, recorded(-12.0, 0.0, name="b"))
     assert _steps(entries(scene, 7)) == [35]
     assert _steps(entries(scene, 2)) == []
     assert _steps(scene.red(2)) == list(range(STEPS))
@@ -189,7 +179,7 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance() -> None:
         draw_lane(9, [(8, 0), (30, 0)], is_intersection=True),
         draw_lane(11, [(0, 40), (8, 40)], is_intersection=True),
     ]
-    scene = signals(draw_box(20.0, -50.0, np.pi / 2, 10.0), lanes=lanes)
+    scene = signals(recorded(20.0, -50.0, 10.0, heading=np.pi / 2), lanes=lanes)
     assert _steps(scene.red(2)) == list(range(27, 84))
     assert scene.red(1) is None
     assert scene.red(9) is None

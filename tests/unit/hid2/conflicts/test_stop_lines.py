@@ -12,7 +12,6 @@ from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.kernels.guard import ROLLS_UP_SHARE, stop_ahead
 from hid2.kernels.steering import CAUSES
 from hid2.params import Config, Signals
-from hid2.scene import Scene
 
 #: Every value that a number below is worked from; the defaults may be tuned.
 CONFIG = Config(signals=Signals(before_s=2.0, after_s=3.0))
@@ -21,17 +20,12 @@ UP = np.pi / 2
 STOP_M = 56.75
 
 
-def junction(*recorded: Track) -> Scene:
-    """Lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m) and 3 along the x axis.
+def lines_of(*recorded: Track, box: BoxSize = CAR) -> ClosedLines:
+    """Of the path along lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m) and 3 on the x axis.
 
     Lanes 4, 5 and 6 cross it at x = 70, and a pedestrian crossing lies over lane 3 from x = 100 to 103 m.
     """
-    return scene_on(draw_crossing(zebra=True), *recorded, config=CONFIG)
-
-
-def lines_of(*recorded: Track, box: BoxSize = CAR) -> ClosedLines:
-    """Of the path along the x axis."""
-    scene = junction(*recorded)
+    scene = scene_on(draw_crossing(zebra=True), *recorded, config=CONFIG)
     return StopLines(scene).on(scene.paths.along((1, 2, 3)), box)
 
 
@@ -103,15 +97,6 @@ def test_driver_brakes_neither_far_before_nor_behind_nor_when_it_is_too_late_and
     assert found is not None
     assert found[0] < 0.0
     assert brake(CROSSING, s=STOP_M, v=0.0, step=100) is None
-
-
-def test_recorded_queue_keeps_the_entrance_closed() -> None:
-    """Somebody came from behind and stands at the entrance from step 40 on: red, though nobody crosses."""
-    steps = np.arange(110)
-    x = np.minimum(20.0 + 0.9 * steps, 56.0)
-    arrives = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
-    stop_m, _, last = _closed(lines_of(arrives), "signal")
-    assert (stop_m, last) == (pytest.approx(STOP_M), 109)
 
 
 def test_pedestrian_on_a_crossing_is_yielded_to() -> None:

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hand_drawn import draw_road
+from hand_drawn import draw_driven, draw_road
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import wasserstein_distance
 from views import lane_view
 
-from hid2.agents import BoxSize, Track
 from hid2.evaluation import realism
 from hid2.evaluation.kinematics import motion
 from hid2.evaluation.safety import safety
@@ -18,14 +17,7 @@ from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 SPEED = realism.FEATURES[0]
 
 
-def test_bins_resolve_what_drivers_do():
-    """A quarter of a metre per second squared: the challenge's bins, 2.2 wide, put nearly all driving into one."""
-    width = {feature.name: (feature.high - feature.low) / feature.bins for feature in realism.FEATURES}
-    assert width["longitudinal_accel"] == 0.25
-    assert width["offset"] == 0.125
-
-
-def test_jensen_shannon_equals_scipys_also_of_equal_and_of_disjoint_distributions():
+def test_distances_equal_scipys_also_of_equal_and_of_disjoint_distributions():
     rng = np.random.default_rng(0)
     a, b = rng.normal(10, 3, 5000).clip(0, 25), rng.normal(12, 2, 3000)
     edges = np.linspace(0, 25, 26)
@@ -33,17 +25,13 @@ def test_jensen_shannon_equals_scipys_also_of_equal_and_of_disjoint_distribution
     assert realism.apart(SPEED, realism.histogram(SPEED, a), realism.histogram(SPEED, b))[0] == pytest.approx(
         want, abs=1e-12
     )
+    a, b = rng.normal(10, 3, 5000), rng.normal(12, 2, 3000)
+    _, found = realism.apart(SPEED, realism.histogram(SPEED, a), realism.histogram(SPEED, b))
+    assert found == pytest.approx(wasserstein_distance(a, b), abs=25 / 25 / realism.FINE)
     a, b = realism.histogram(SPEED, [1.0, 1.0]), realism.histogram(SPEED, [20.0])
     assert realism.apart(SPEED, a, a) == (0.0, 0.0)
     assert realism.apart(SPEED, a, b)[0] == pytest.approx(1.0)
     assert realism.apart(SPEED, a, realism.histogram(SPEED, [])) is None
-
-
-def test_wasserstein_equals_scipys_to_a_fine_bin():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(10, 3, 5000), rng.normal(12, 2, 3000)
-    _, found = realism.apart(SPEED, realism.histogram(SPEED, a), realism.histogram(SPEED, b))
-    assert found == pytest.approx(wasserstein_distance(a, b), abs=25 / 25 / realism.FINE)
 
 
 def test_quantiles_by_hand():
@@ -67,15 +55,8 @@ def test_halves_are_halves_and_the_same_every_time():
 
 
 def _lanes_full(rng, prefix, speeds):
-    tracks = []
-    for k, speed in enumerate(speeds):
-        x = speed * 0.1 * np.arange(70) + rng.normal(0, 0.003, 70)
-        position = np.column_stack([x, np.full(70, 3.5 * (k % 2))])
-        velocity = np.column_stack([np.full(70, speed), np.zeros(70)])
-        tracks.append(
-            Track(f"{prefix}{k}", "vehicle", 1, np.arange(70), position, np.zeros(70), velocity, BoxSize(4, 2))
-        )
-    return tracks
+    x = np.outer(speeds, 0.1 * np.arange(70)) + rng.normal(0, 0.003, (len(speeds), 70))
+    return [draw_driven(f"{prefix}{k}", np.column_stack([x[k], np.full(70, 3.5 * (k % 2))])) for k in range(len(x))]
 
 
 def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_near_it():

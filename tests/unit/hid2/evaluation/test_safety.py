@@ -1,7 +1,6 @@
 """Boxes, TTC, PET, footprint, leaders and lanes of the evaluation."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlap
 from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.following import leaders
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.surrogates import encroachments
 from netconvert.lane_graph import LaneGraph
 
@@ -90,19 +88,6 @@ def test_ttc_of_a_car_that_closes_on_a_standing_one():
     nobody = safe_of(stack([], num_steps=110, step_s=0.1), draw_road())
     assert nobody.overlaps == ()
     assert len(nobody.ttc_s) == 0
-
-
-def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to():
-    """a at 10 m/s along x from 0, b at 10 m/s along y from (30, -30): the boxes touch in the corner.
-
-    b's right-hand face is at x = 29 (width 2), a's front reaches it after 2.7 s; b's front (length 4) is at
-    y = -28 + 27 = -1 then, and a's lower side is at y = -1: they touch at 2.7 s.
-    """
-    arrays = stack(
-        [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")],
-        step_s=0.1,
-    )
-    assert safe_of(arrays, draw_road()).ttc_s[0] == pytest.approx(2.7)
 
 
 def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
@@ -235,16 +220,6 @@ def test_a_sliver_between_two_lanes_is_not_driving_against_one_that_crosses_them
     for y, expected in ((0.0, False), (1.95, False), (-2.2, True)):
         arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")], step_s=0.1)
         assert safe_of(arrays, graph).against_lane.any() == expected, y
-
-
-def test_lane_of_a_vehicle_near_the_marking_does_not_flicker():
-    """y wanders from 1.6 to 1.9 and back (marking at 1.75) for 0.3 s: one lane all the way."""
-    x = np.arange(60) * 1.0
-    y = np.full(60, 1.5)
-    y[30:33] = 1.95
-    track = replace(drive(0.0, name="a"), position=np.column_stack([x, y]))
-    matches = match_lanes(stack([track], step_s=0.1), flatten_lanes(draw_road()))
-    assert set(matches.lane.tolist()) == {0}
 
 
 def test_scene_with_one_more_track_is_the_scene_of_all_tracks():

@@ -163,13 +163,12 @@ def test_a_turn_that_the_scene_cuts_off_early_is_none_and_later_is_incomplete():
     assert (found.kind, found.complete) == (ManeuverKind.LEFT_TURN, False)
 
 
-def out_and_back():
-    return shift(1.5, 2.5) - shift(6.5, 2.5)
+OUT_AND_BACK = shift(1.5, 2.5) - shift(6.5, 2.5)
 
 
 def test_overtake_is_out_past_and_back():
     """a at 14 m/s, b 15 m ahead at 8 m/s in lane 1: level after 2.5 s, 25 m clear when a is back."""
-    a, b = along(20 + 14 * TIME, out_and_back()), along(35 + 8 * TIME, 0.0, name="b")
+    a, b = along(20 + 14 * TIME, OUT_AND_BACK), along(35 + 8 * TIME, 0.0, name="b")
     found = seen(draw_road(length_m=250), a, b)
     overtake = next(m for m in found if m.kind is ManeuverKind.OVERTAKE)
     assert overtake.other_track_id == "b"
@@ -183,8 +182,8 @@ def test_overtake_is_out_past_and_back():
     ("a", "b", "found"),
     [
         (along(20 + 14 * TIME, shift(1.5, 2.5)), 35 + 8 * TIME, ["lane_change", "pass"]),
-        (along(20 + 9 * TIME, out_and_back()), 65 + 0 * TIME, ["lane_change", "lane_change", "obstacle_avoidance"]),
-        (along(20 + 10 * TIME, out_and_back()), 45 + 10 * TIME, ["lane_change", "lane_change"]),
+        (along(20 + 9 * TIME, OUT_AND_BACK), 65 + 0 * TIME, ["lane_change", "lane_change", "obstacle_avoidance"]),
+        (along(20 + 10 * TIME, OUT_AND_BACK), 45 + 10 * TIME, ["lane_change", "lane_change"]),
         # from lane 2 past b it moves in ahead of it: it never was behind b in b's lane
         (along(20 + 14 * TIME, 3.5 - shift(5.0, 3.0)), 35 + 8 * TIME, ["lane_change"]),
     ],

@@ -37,11 +37,6 @@ def _path(graph: LaneGraph, *route: int) -> routing.DrivenPath:
     return routing.LanePaths(graph, Limits()).along(route)
 
 
-def test_points_of_a_route_hold_every_joint_once(forked: LaneGraph) -> None:
-    points = routing.route_points(forked, (1, 2, 5))
-    assert points.tolist() == [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0], [150.0, 0.0]]
-
-
 def test_segments_meet_and_cover_the_path(forked: LaneGraph) -> None:
     """Lane 1 is 50 m; lane 3 is an arc of 15 pi / 2 = 23.6 m; lane 4 is 60 m."""
     path = _path(forked, 1, 3, 4)
@@ -70,11 +65,6 @@ def test_lane_position_outside_a_segment_is_its_nearer_end() -> None:
     assert [segment.lane_m(s) for s in (0.0, 10.0, 20.0, 30.0, 99.0)] == [5.0, 5.0, 15.0, 25.0, 25.0]
 
 
-def _all_drivable(forked: LaneGraph) -> LaneGraph:
-    """The same with lane 5 for all."""
-    return LaneGraph({**forked.lanes, 5: replace(forked.lanes[5], lane_type="VEHICLE")})
-
-
 def test_routes_follow_the_order_chosen_at_a_split_and_are_cut_when_long_enough_and_counted(
     forked: LaneGraph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -83,7 +73,7 @@ def test_routes_follow_the_order_chosen_at_a_split_and_are_cut_when_long_enough_
     def routes(graph: LaneGraph, order: int = 1, most: int = 9) -> list[tuple[int, ...]]:
         return list(routing.routes_from(graph, 1, choose=lambda _, onward: onward[::order], most=most))
 
-    open_to_all = _all_drivable(forked)
+    open_to_all = LaneGraph({**forked.lanes, 5: replace(forked.lanes[5], lane_type="VEHICLE")})  # lane 5 for all
     assert routes(open_to_all) == [(1, 2, 5), (1, 3, 4)]
     assert routes(open_to_all, order=-1) == [(1, 3, 4), (1, 2, 5)]
     assert routes(open_to_all, most=1) == [(1, 2, 5)]

@@ -30,15 +30,6 @@ def test_lateral_margin_counts_a_box_beside_the_path(straight_line: ReferenceLin
     assert occupancy_of(straight_line, beside, margin_m=0.25).low.shape[0] == 1
 
 
-def test_small_box_between_two_samples_is_not_jumped_over(straight_line: ReferenceLine) -> None:
-    """A pedestrian of 0.6 m right at the start, or far along, is found: the march slows before it reaches anybody."""
-    for x in (0.0, 3.3, 119.77, 199.9):
-        found = occupancy_of(straight_line, draw_box(x, 0.5, steps=1, length_m=0.6, width_m=0.6))
-        assert found.low.shape[0] == 1, x
-        assert found.low[0, 0] <= max(x - 2.3, 0.0)
-        assert found.high[0, 0] >= min(x + 2.3, 200.0) - 0.5
-
-
 def test_place_of_who_crosses_is_kept_clear_before_and_after(straight_line: ReferenceLine) -> None:
     """A car crosses at x = 50 from the right at 10 m/s, on the line's middle at 2.0 s.
 

@@ -76,16 +76,6 @@ def test_what_algorithm_1_decides(changes: dict[str, Any], decision: Decision) -
     assert _decide(**changes) == decision
 
 
-def test_line_7_each_gap_is_checked() -> None:
-    front = replace(LEFT, front=Gap(3.0, 4.0))
-    rear = replace(LEFT, rear=Gap(3.0, 12.0))
-    short = replace(LEFT, corridor_m=39.0)
-    reasons = [
-        _decide(request=Policy.OVERTAKE, leader=SLOW, options=(option,)).reason for option in (front, rear, short)
-    ]
-    assert reasons == ["front_gap", "rear_gap", "corridor_short"]
-
-
 def test_return_stage_waits_until_the_leader_is_passed() -> None:
     beside: dict[str, Any] = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (RIGHT,)}
     assert _decide(**beside, passed_gap_m=2.0).reason == "not_ahead"

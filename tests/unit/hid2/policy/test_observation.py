@@ -30,6 +30,13 @@ from netconvert.cells import Cell
 from netconvert.lane_graph import LaneGraph
 
 NOBODY = nobody()
+#: Lanes 1 and, to its left, 2 go on as lanes 3 and 6 at 100 m.
+JOINED = LaneGraph({
+    1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
+    2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1, successors=(6,)),
+    3: draw_lane(3, [(100.0, 0.0), (200.0, 0.0)], left=6),
+    6: draw_lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
+})  # fmt: skip
 
 
 def scene_of(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> Scene:
@@ -139,27 +146,20 @@ def test_free_corridor_ends_at_a_slow_vehicle_ahead_of_a_faster_one() -> None:
     assert option.corridor_m == pytest.approx(24.5, abs=0.6)
 
 
-@pytest.mark.parametrize("who", ["driven", "kept"])
-def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(who: str) -> None:
-    """Sigma = 2: somebody driven, or kept in a round before, stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10.
+@pytest.mark.parametrize("who", ["recorded", "kept", "driven"])
+def test_vehicles_hold_the_cells_beside_and_next_to_it_where_they_are_now(who: str) -> None:
+    """Of one recorded (sigma = 1), and of one driven or kept in a round before (2), cells 9 to 11, 36 .. 48 m.
 
-    Cell 9 is next to it, too; cells 8 and 12, two away, do not count.
+    A car at 32 m ends at 34.25, at 52 m it begins at 49.75.
     """
-    scene = scene_of()
 
     def is_free(x: float) -> bool:
-        known = draw_box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
-        driven = draw_box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
+        scene = scene_of(*([draw_track(range(110), np.full(110, x), 3.5)] if who == "recorded" else []))
+        known = draw_box(x, 3.5) if who == "kept" else NOBODY
+        driven = draw_box(x, 3.5, steps=1) if who == "driven" else NOBODY
         return _option(scene, 42.0, step=70, known=known, driven=driven).cells_free
 
-    assert [is_free(x) for x in (34.0, 38.0, 46.0, 50.0)] == [True, False, False, True]
-
-
-@pytest.mark.parametrize(("x", "free"), [(32.0, True), (38.0, False), (46.0, False), (52.0, True)])
-def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(x: float, free: bool) -> None:
-    """Cells 9 to 11, beside and next to it, are 36 .. 48 m. A car at 32 m ends at 34.25, at 52 m it begins at 49.75."""
-    scene = scene_of(draw_track(range(110), np.full(110, x), 3.5))
-    assert _option(scene, 42.0, step=70, speed_mps=0.0).cells_free == free
+    assert [is_free(x) for x in (32.0, 38.0, 46.0, 52.0)] == [True, False, False, True]
 
 
 def test_target_path_reaches_back_to_who_comes_from_behind() -> None:
@@ -175,14 +175,8 @@ def test_target_path_reaches_back_to_who_comes_from_behind() -> None:
 
 def test_target_path_goes_on_beside_the_own_route() -> None:
     """Lane 2 splits into 5, which leaves, and 6, which runs on beside lane 3 of the own route."""
-    graph = LaneGraph({
-        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
-        2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1, successors=(5, 6)),
-        3: draw_lane(3, [(100.0, 0.0), (200.0, 0.0)], left=6),
-        5: draw_lane(5, [(100.0, 3.5), (200.0, 40.0)]),
-        6: draw_lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
-    })  # fmt: skip
-    scene = scene_of(graph=graph)
+    split = replace(JOINED.lanes[2], successors=(5, 6)), draw_lane(5, [(100.0, 3.5), (200.0, 40.0)])
+    scene = scene_of(graph=LaneGraph({**JOINED.lanes, 2: split[0], 5: split[1]}))
     assert [segment.lane_id for segment in target_path(scene, scene.paths.along((1, 3)), 2, s=5.0).segments] == [2, 6]
 
 
@@ -190,14 +184,8 @@ def test_target_path_goes_on_beside_the_own_route() -> None:
     (98.0, 102.3, 0, False), (98.0, 102.3, 4, False), (98.0, 107.0, 0, True), (102.0, 97.7, 0, False),
 ])  # fmt: skip
 def test_cells_are_looked_at_over_the_ends_of_their_lanes(s: float, x: float, first: int, *, free: bool) -> None:
-    """Lane 2 goes on as lane 6 at 100 m; from step `first` on a box of 4.5 m stands on lane 2 or 6, at x."""
-    graph = LaneGraph({
-        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
-        2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1, successors=(6,)),
-        3: draw_lane(3, [(100.0, 0.0), (200.0, 0.0)], left=6),
-        6: draw_lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
-    })  # fmt: skip
-    scene = scene_of(draw_track(range(first, 60), np.full(60 - first, x), 3.5), graph=graph)
+    """From step `first` on a box of 4.5 m stands on lane 2 or 6, at x."""
+    scene = scene_of(draw_track(range(first, 60), np.full(60 - first, x), 3.5), graph=JOINED)
     ((option, _),) = lane_options(
         scene, scene.paths.along((1, 3)), CAR, s=s, sides=("left",), inserted=Inserted(0, NOBODY, NOBODY),
         speed_mps=10.0, desired_mps=10.0,
