@@ -178,7 +178,7 @@ class InferredSignals:
             stood = came[speed[row, came] < STANDING_MPS]
             heading = flowing.heading[agent, stood[-1] if stood.size else came[0]]
             if ahead @ (math.cos(heading), math.sin(heading)) > -math.cos(CROSSING_RAD):
-                aside[stood[-1] if stood.size else at : at + 1] = True
+                aside[stood[-1] + 1 if stood.size else at : at + 1] = True
         return np.asarray(across.any(axis=0)), aside
 
     @once

@@ -92,9 +92,9 @@ def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(degrees: float, 
     assert bool(scene.red(2).any()) is red
 
 
-@pytest.mark.parametrize(("x", "y", "first"), [(10.0, -20.0, 24), (10.0, -45.0, 67), (26.0, 0.0, 56)])
+@pytest.mark.parametrize(("x", "y", "first"), [(10.0, -20.0, 25), (10.0, -45.0, 67), (26.0, 0.0, 56)])
 def test_light_has_turned_when_cross_traffic_starts(x: float, y: float, first: int) -> None:
-    """All stand to step 59. 17 m from lane 2's ground: red from 59 - 35 on; 42 m from it, there at 102: from 102 - 35.
+    """All start at step 60. 17 m from lane 2's ground: red from 60 - 35 on; 42 m from it, there at 102: from 102 - 35.
 
     An opposite vehicle may have waited for a gap: it turns left at (10, 0) at step 76, red from 76 - 20 on.
     """
