@@ -1,7 +1,8 @@
 """Red and green inferred from recorded traffic: signals are not in the data, traffic is.
 
-An entrance of an intersection is red while recorded vehicles cross the ground behind it, while its own recorded queue
-stands, and, straight on, while that of the opposite approach does. Recorded vehicles that enter tell that it is green.
+An entrance of an intersection is red while recorded vehicles cross the ground behind it or start at the side to do so,
+while its own recorded queue stands, and, straight on, while that of the opposite approach does. Recorded vehicles that
+enter tell that it is green.
 """
 
 import math
