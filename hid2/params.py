@@ -296,7 +296,7 @@ class Conflict(_Section):
 class Signals(_Section):
     """Red and green inferred from recorded traffic; the signals themselves are not in the data."""
 
-    before_s: float = _param(2.0, "s", "red so long before recorded traffic crosses", ge=0, le=10)
+    before_s: float = _param(2.0, "s", "red so long before recorded traffic crosses, and amber before", ge=0, le=10)
     after_s: float = _param(3.0, "s", "red so long after recorded traffic has crossed", ge=0, le=20)
 
 

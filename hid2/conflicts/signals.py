@@ -1,7 +1,8 @@
 """Red and green inferred from recorded traffic: signals are not in the data, traffic is.
 
-An entrance of an intersection is red while recorded vehicles cross the ground behind it, while its own recorded queue
-stands, and, straight on, while that of the opposite approach does. Recorded vehicles that enter tell that it is green.
+An entrance of an intersection is red while recorded vehicles cross the ground behind it or start at the side to do so,
+while its own recorded queue stands, and, straight on, while that of the opposite approach does. Recorded vehicles that
+enter tell that it is green.
 """
 
 import math
@@ -21,7 +22,7 @@ from hid2.occupancy.along_path import look_along
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.params import Limits, Signals
-from netconvert.lane_graph import SIDES, LaneGraph, TurnType
+from netconvert.lane_graph import LaneGraph, TurnType
 
 #: Largest distance before an entrance of a standing queue that makes it red, and of centres beyond the entrance, m.
 #: No tunables: what recorded traffic tells of a phase.
@@ -31,6 +32,7 @@ _FLOW_MPS = 1.0  # speed above which recorded vehicles are cross traffic; no tun
 #: Green time before and after a recorded entry, s, and time before and after cross traffic at which the entrance is red
 #: even so, s (the critical PET). No tunables: what recorded traffic tells of a phase.
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
+_STARTS_M = 30.0  # largest distance of cross traffic from where it has stood; no tunable: as wide as intersections are
 #: Time for which a vehicle that comes to stand at an entrance has braked for the red, s. No tunable: as those above.
 _BRAKES_S = 2.0
 #: Time after green in which a vehicle that can no longer stop may pass (amber), about, s. No tunable.
@@ -68,14 +70,9 @@ class InferredSignals:
     params: Signals
 
     @cached_property
-    def _flows(self) -> BoolArray:
-        """(A, T) whether an agent is cross traffic where it crosses."""
-        return np.asarray((self.states.traffic.speed > _FLOW_MPS) & self.states.arrays.moving_on_roads[:, None])
-
-    @cached_property
     def _flowing(self) -> tuple[IntArray, Traffic]:
-        """Rows of the agents that are cross traffic at some step, and these alone."""
-        rows = np.flatnonzero(self._flows.any(axis=1))
+        """Rows of the agents that are cross traffic where they cross at some step, and these alone."""
+        rows = np.flatnonzero(self.states.arrays.moving_on_roads & (self.states.traffic.speed > _FLOW_MPS).any(axis=1))
         return rows, self.states.traffic.rows(rows.tolist())
 
     @cached_property
@@ -99,14 +96,14 @@ class InferredSignals:
         watched, (entered, queued) = self._watch(approach), self._seen(lane_id, approach)
         if (opposite := self._opposite(lane_id)) is not None:
             go, stand = self._seen(*opposite)
-            queued |= stand & ~_spread(go, *self._steps(_ENTRY_BEFORE_S, _ENTRY_AFTER_S))
-        return self._reds(self._crossed(lane_id, ~watched.comes_from), entered, queued)
+            queued |= stand & ~self._spread(go, _ENTRY_BEFORE_S, _ENTRY_AFTER_S)
+        return self._reds(*self._crossed(lane_id, ~watched.comes_from), entered, queued)
 
     def shown(self, lane_id: int) -> NDArray[np.str_] | None:
         """(T,) SUMO's letter of `red`, which is yellow at first, also where the scene as a program begins again."""
         if (red := self.red(lane_id)) is None:
             return None
-        after_green = _spread(np.tile(~red, 2), 0, *self._steps(AMBER_S))[red.size :]
+        after_green = self._spread(np.tile(~red, 2), 0.0, AMBER_S)[red.size :]
         return np.where(red, np.where(after_green, "y", "r"), "g")
 
     def _seen(self, lane_id: int, approach: _Approach) -> tuple[BoolArray, BoolArray]:
@@ -124,7 +121,7 @@ class InferredSignals:
             alone = all(one in approach.fan and graph.lanes[one].turn is turn for one in onward)
             if lane_id in onward or (onward and alone):
                 queued |= watched.waits[lane]
-        return entered, _spread(queued, *self._steps(_BRAKES_S, 0.0))
+        return entered, self._spread(queued, _BRAKES_S, 0.0)
 
     def _opposite(self, lane_id: int) -> tuple[int, _Approach] | None:
         """The lane straight on from the opposite approach, with that; None where there is none, or the lane turns."""
@@ -143,31 +140,47 @@ class InferredSignals:
                     return other, found
         return None
 
-    def _steps(self, *spans_s: float) -> list[int]:
-        return [round(span / self.states.arrays.step_s) for span in spans_s]
+    def _spread(self, at: BoolArray, before_s: float, after_s: float) -> BoolArray:
+        """(T,) steps from before_s before to after_s after those that are true (T,)."""
+        before, after = (round(span_s / self.states.arrays.step_s) for span_s in (before_s, after_s))
+        found = np.zeros_like(at)
+        for step in np.flatnonzero(at).tolist():
+            found[max(0, step - before) : step + after + 1] = True
+        return found
 
-    def _reds(self, crossed: BoolArray, entered: BoolArray, queued: BoolArray) -> BoolArray:
+    def _reds(self, crossed: BoolArray, aside: BoolArray, entered: BoolArray, queued: BoolArray) -> BoolArray:
         """(T,) red: `crossed` (T,) spread over steps before and after it, or `queued` (T,); not near an entry.
 
-        An entry takes away the red of a queue, and that of cross traffic that is more than _CROSSING_S away; that of
-        cross traffic to come only up to itself, as the light has turned since.
+        Before `aside` (T,) is amber, too. An entry takes away the red of a queue, and that of cross traffic that is
+        more than _CROSSING_S away; that of cross traffic to come only up to itself, as the light has turned since.
         """
-        before, after, clear, entry_before, entry_after = self._steps(
-            self.params.before_s, self.params.after_s, _CROSSING_S, _ENTRY_BEFORE_S, _ENTRY_AFTER_S
-        )
-        to_come, flow, close = _spread(crossed, before, -1), _spread(crossed, 0, after), _spread(crossed, clear, clear)
-        entering, green = _spread(entered, entry_before, 0), _spread(entered, entry_before, entry_after)
+        before_s, flow = self.params.before_s, self._spread(crossed, 0.0, self.params.after_s)
+        amber = (before_s > 0.0) & self._spread(aside, before_s + AMBER_S, 0.0)  # 0: none of an event's target
+        to_come, close = self._spread(crossed, before_s, 0.0) | amber, self._spread(crossed, _CROSSING_S, _CROSSING_S)
+        entering, green = (self._spread(entered, _ENTRY_BEFORE_S, after_s) for after_s in (0.0, _ENTRY_AFTER_S))
         return close | ((flow | queued) & ~green) | (to_come & ~entering)
 
-    def _crossed(self, lane_id: int, others: BoolArray) -> BoolArray:
-        """(T,) whether a recorded vehicle that comes from another approach crosses the lane's ground."""
+    def _crossed(self, lane_id: int, others: BoolArray) -> tuple[BoolArray, BoolArray]:
+        """(T,) when recorded vehicles from other approaches cross the lane's ground; when those from the side begin to.
+
+        The latter since they last stood, as their light has turned then: an opposite one may have waited for a gap.
+        """
         (rows, flowing), width_m = self._flowing, _UNDER_SHARE * self.graph.lanes[lane_id].width_m
         line = line_along(route_points(self.graph, tuple(_through(self.graph, lane_id))), Limits())
-        seen = look_along(line, flowing, 0.0, width_m)
-        agents = rows[seen.agents]
-        across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * flowing.speed[seen.agents]
-        across &= self._flows[agents] & others[agents, None]
-        return np.asarray((across & (seen.low < line.length_m)).any(axis=0))
+        seen, ahead = look_along(line, flowing, 0.0, width_m), _forward(self.graph.lanes[lane_id].centerline)
+        speed = flowing.speed[seen.agents]
+        across = (np.abs(seen.along) <= math.cos(CROSSING_RAD) * speed) & (speed > _FLOW_MPS)
+        across &= others[rows[seen.agents], None] & (seen.low < line.length_m)
+        aside = np.zeros(across.shape[1], dtype=np.bool_)
+        for row in np.flatnonzero(across.any(axis=1)).tolist():
+            agent, at = int(seen.agents[row]), int(across[row].argmax())
+            apart_m = np.hypot(*(flowing.position[agent, : at + 1] - flowing.position[agent, at]).T)
+            came = np.flatnonzero(flowing.present[agent, : at + 1] & (apart_m < _STARTS_M))
+            stood = came[speed[row, came] < STANDING_MPS]
+            heading = flowing.heading[agent, stood[-1] if stood.size else came[0]]
+            if ahead @ (math.cos(heading), math.sin(heading)) > -math.cos(CROSSING_RAD):
+                aside[stood[-1] + 1 if stood.size else at : at + 1] = True
+        return np.asarray(across.any(axis=0)), aside
 
     @once
     def _watch(self, approach: _Approach) -> _Watched:
@@ -203,13 +216,8 @@ class InferredSignals:
         graph = self.graph
         if not graph.lanes[lane_id].is_intersection:
             return None
-        lanes = {before for before in graph.predecessors(lane_id) if not graph.lanes[before].is_intersection}
-        for before in tuple(lanes):
-            for side in SIDES:
-                beside = graph.neighbor(before, side)
-                while beside is not None and not graph.lanes[beside].is_intersection:
-                    lanes.add(beside)
-                    beside = graph.neighbor(beside, side)
+        inside, before = {one for one, lane in graph.lanes.items() if lane.is_intersection}, graph.predecessors(lane_id)
+        lanes = {lane for row in graph.rows(without=inside) if not set(row).isdisjoint(before) for lane in row}
         fan = {onward for lane in lanes for onward in graph.successors(lane) if graph.lanes[onward].is_intersection}
         return _Approach(tuple(sorted(lanes)), tuple(sorted(fan))) if lanes else None
 
@@ -226,25 +234,15 @@ def _upstream(graph: LaneGraph, lane_id: int, reach_m: float) -> list[tuple[int,
     return found
 
 
-def _spread(at: BoolArray, before: int, after: int) -> BoolArray:
-    """(T,) steps from `before` steps before to `after` steps after those that are true (T,)."""
-    found = np.zeros_like(at)
-    for step in np.flatnonzero(at).tolist():
-        found[max(0, step - before) : step + after + 1] = True
-    return found
-
-
 def _forward(points: FloatArray) -> FloatArray:
     """Direction (2,) in which a line of points (N, 2) begins."""
-    ahead = points[1] - points[0]
-    return np.asarray(ahead / math.hypot(*ahead))
+    return np.asarray((points[1] - points[0]) / math.dist(points[0], points[1]))
 
 
 def _through(graph: LaneGraph, lane_id: int) -> list[int]:
     """The lane, and the lanes of the intersection that lead straight on where it is cut into several."""
-    found = [lane_id]
-    while (onward := graph.straightest_successor(found[-1])) is not None:
-        if onward in found or not graph.lanes[onward].is_intersection:
-            break
+    found, onward = [lane_id], graph.straightest_successor(lane_id)
+    while onward is not None and onward not in found and graph.lanes[onward].is_intersection:
         found.append(onward)
+        onward = graph.straightest_successor(onward)
     return found

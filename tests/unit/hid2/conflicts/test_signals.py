@@ -56,6 +56,7 @@ def _along(name: str, points: Sequence[Sequence[float]], *, wait_steps: int = 0,
 
 #: On lane 2 from step 47 to 53.
 CROSSES = recorded(10.0, -50.0, 10.0, heading=np.pi / 2)
+QUEUES = recorded(-12.0, 0.0, name="b")
 
 
 def _steps(red: np.ndarray | None) -> list[int]:
@@ -63,14 +64,14 @@ def _steps(red: np.ndarray | None) -> list[int]:
     return np.flatnonzero(red).tolist()
 
 
-def test_cross_traffic_makes_red_two_seconds_before_and_three_after() -> None:
+def test_cross_traffic_makes_red_two_seconds_before_with_amber_before_that_and_three_after() -> None:
     """From (10, -50) at 1 m a step: y = step - 50. Lane 2's ground counts with 0.8 of its width, 1.4 m to each side.
 
-    The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 to 53 + 30.
+    The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 - 15 to 53 + 30.
     """
     scene = signals(CROSSES)
-    assert _steps(scene.red(2)) == list(range(27, 84))
-    assert "".join(scene.shown(2)) == "g" * 27 + "y" * 15 + "r" * 42 + "g" * (STEPS - 84)
+    assert _steps(scene.red(2)) == list(range(12, 84))
+    assert "".join(scene.shown(2)) == "g" * 12 + "y" * 15 + "r" * 57 + "g" * (STEPS - 84)
     assert _steps(scene.red(5)) == []
     assert _steps(entries(scene, 5)) == [41]  # the first centre above y = -10
 
@@ -81,6 +82,16 @@ def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(degrees: float, 
     angle = np.radians(degrees)
     scene = signals(recorded(10 - 50 * np.cos(angle), -50 * np.sin(angle), 10.0, heading=angle))
     assert bool(scene.red(2).any()) is red
+
+
+@pytest.mark.parametrize(("x", "y", "first"), [(10.0, -20.0, 25), (10.0, -45.0, 67), (26.0, 0.0, 56)])
+def test_light_has_turned_when_cross_traffic_starts(x: float, y: float, first: int) -> None:
+    """All start at step 60. 17 m from lane 2's ground: red from 60 - 35 on; 42 m from it, there at 102: from 102 - 35.
+
+    An opposite vehicle may have waited for a gap: it turns left at (10, 0) at step 76, red from 76 - 20 on.
+    """
+    scene = signals(_along("a", [(x, y), *[(10.0, 0.0)] * (x > 10.0), (10.0, 40.0)], wait_steps=60))
+    assert _steps(scene.red(2)) == list(range(first, STEPS))
 
 
 def test_slow_or_parked_boxes_are_no_cross_traffic() -> None:
@@ -97,16 +108,11 @@ def test_who_turns_off_from_the_same_approach_does_not_cross() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "red"),
-    [
-        (-5.0, 0.5, True), (-5.0, 0.65, False), (-19.5, 0.0, True), (-20.5, 0.0, False), (2.5, 0.0, True),
-        (3.5, 0.0, False),
-    ],
-)  # fmt: skip
-def test_a_queue_stands_in_the_middle_third_near_the_entrance(x: float, y: float, red: bool) -> None:
+    ("red", "x", "y"), [(1, -5.0, 0.5), (0, -5.0, 0.65), (1, -19.5, 0.0), (0, -20.5, 0.0), (1, 2.5, 0.0), (0, 3.5, 0.0)]
+)
+def test_a_queue_stands_in_the_middle_third_near_the_entrance(red: int, x: float, y: float) -> None:
     """A third of 3.5 m: 0.58 m to each side. Beyond it, who never moves is parked. 20 m before, 3 m behind."""
-    scene = signals(recorded(x, y))
-    assert _steps(scene.red(2)) == (list(range(STEPS)) if red else [])
+    assert _steps(signals(recorded(x, y)).red(2)) == list(range(red * STEPS))
 
 
 def test_a_driver_that_comes_to_stand_saw_red_two_seconds_before() -> None:
@@ -125,12 +131,9 @@ def test_a_driver_that_comes_to_stand_saw_red_two_seconds_before() -> None:
         # from (-108.5, 0) at 1 m a step: at x = 0.5 at step 109, the last one
         ([_along("a", [(-108.5, 0.0), (40.0, 0.0)])], 109, ()),
         # the first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20
-        (
-            [_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), recorded(-12.0, 0.0, name="b")],
-            36, (*range(26), *range(57, STEPS)),
-        ),
-        # cross traffic on the lane from 47 to 53, red from 27 to 83: an entry at 61 clears 51 to 81, not below 53 + 10
-        ([CROSSES, _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10)], 61, (*range(27, 64), 82, 83)),
+        ([_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), QUEUES], 36, (*range(26), *range(57, STEPS))),
+        # cross traffic on the lane from 47 to 53, red from 12 to 83: an entry at 61 clears 51 to 81, not below 53 + 10
+        ([CROSSES, _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10)], 61, (*range(12, 64), 82, 83)),
         # one waits for 25 steps, red to 20, and enters at 31: it is red again from 32 on for cross traffic to come
         ([CROSSES, _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25)], 31, (*range(21), *range(32, 84))),
     ],
@@ -164,7 +167,7 @@ def test_straight_on_is_red_while_the_opposite_queue_stands(y: float, red: int) 
 def test_a_right_turn_says_nothing_of_the_way_straight_on() -> None:
     """What turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
     turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)
-    scene = signals(turning, recorded(-12.0, 0.0, name="b"))
+    scene = signals(turning, QUEUES)
     assert _steps(entries(scene, 7)) == [35]
     assert _steps(entries(scene, 2)) == []
     assert _steps(scene.red(2)) == list(range(STEPS))
@@ -180,8 +183,6 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance() -> None:
         draw_lane(11, [(0, 40), (8, 40)], is_intersection=True),
     ]
     scene = signals(recorded(20.0, -50.0, 10.0, heading=np.pi / 2), lanes=lanes)
-    assert _steps(scene.red(2)) == list(range(27, 84))
-    assert scene.red(1) is None
-    assert scene.red(9) is None
-    assert scene.red(11) is None
+    assert _steps(scene.red(2)) == list(range(12, 84))
+    assert [scene.red(lane) for lane in (1, 9, 11)] == [None, None, None]
     assert entries(scene, 11) is None

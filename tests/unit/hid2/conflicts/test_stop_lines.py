@@ -47,13 +47,13 @@ def _closed(lines: ClosedLines, cause: str) -> tuple[float, int, int]:
 
 
 def test_entrance_is_closed_while_recorded_traffic_flows_across() -> None:
-    """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses.
+    """From 2 s and amber before the crossing to 3 s after it; nothing is closed where nobody crosses.
 
     A bus of 12 m stands farther back: 60 - 6 - 1 = 53 m.
     """
     stop_m, first, last = _closed(lines_of(CROSSING), "signal")
     assert stop_m == pytest.approx(STOP_M)
-    assert (first, last) == (pytest.approx(26, abs=3), pytest.approx(84, abs=3))
+    assert (first, last) == (pytest.approx(11, abs=3), pytest.approx(84, abs=3))
     assert lines_of().line_m.size == 0
     assert lines_of(CROSSING, box=BoxSize(12.0, 2.9)).stops_m(DRIVER).tolist() == pytest.approx([53.0])
 
