@@ -38,9 +38,9 @@ USUAL_HEADWAY_S = 1.3
 _WANTED_TRIES = 8
 #: Vehicles of a policy without a site for a situation, after which a round looks for that situation no more.
 _IN_VAIN = 2
-#: Times that the cells of a manoeuvre are gone through, each time with other places and drivers, at most. Not a
-#: parameter, it saves time: there are few of them.
-_PASSES = 3
+#: Times that the cells for a manoeuvre are gone through, each with other places and drivers. Not a parameter, it saves
+#: time: with a third one more manoeuvres are done, and on full roads fewer vehicles placed.
+_PASSES = 2
 #: Situations without the speed for a lane change: behind what brakes or stands.
 _SLOWS = frozenset({Situation.BRAKES, Situation.STANDS})
 #: Share of the usual speed at which a vehicle must not leave the map too early. Not a parameter, it saves time.
