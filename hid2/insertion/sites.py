@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
+from itertools import accumulate, chain
 
 import numpy as np
 
@@ -317,10 +317,6 @@ class InsertionSites:
 
     def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
         """Whether a stretch of a route, m along its lanes, touches an intersection."""
-        lanes, at = self.here.scene.grid.graph.lanes, 0.0
-        for lane_id in offer.route:
-            lane = lanes[lane_id]
-            if lane.is_intersection and at < end and at + lane.length_m > begin:
-                return True
-            at += lane.length_m
-        return False
+        lanes = [self.here.scene.grid.graph.lanes[lane_id] for lane_id in offer.route]
+        each = zip(lanes, accumulate((lane.length_m for lane in lanes), initial=0.0), strict=False)
+        return any(lane.is_intersection and at < end and at + lane.length_m > begin for lane, at in each)
