@@ -84,22 +84,6 @@ def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path,
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
-@pytest.mark.slow
-def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
-    """Also where Dask has much to say about it."""
-    address, processes = cluster
-    command = [str(BIN / "hid2"), "generate", str(make_data_set(9)[0].parent), "-o", str(tmp_path / "out"), "-q"]
-    generating = subprocess.Popen([*command, "--scheduler", address], stderr=subprocess.PIPE, text=True)
-    while not (tmp_path / "out" / "val").exists():
-        assert generating.poll() is None
-        time.sleep(0.1)
-    processes[0].kill()
-    _, errors = generating.communicate(timeout=300)
-    assert generating.returncode == 1
-    (line,) = errors.splitlines()
-    assert line.startswith(f"hid2: error: scheduler {address}: ")
-
-
 def certificates(folder: Path) -> dict[str, str]:
     """Dask's settings for a CA and one certificate by it, made on the spot as bridge/batch/README.md says."""
     key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2"]

@@ -30,13 +30,6 @@ def pid_of(process: IsolatedProcess) -> int:
     return process._process.pid
 
 
-def test_values_come_in_order_from_one_other_process(process: IsolatedProcess) -> None:
-    values = list(process.stream("faults:numbers", "shared", (1, 2, 3)))
-    assert [value[:2] for value in values] == [("shared", 1), ("shared", 2), ("shared", 3)]
-    assert {value[2] for value in values} == {pid_of(process)}
-    assert pid_of(process) != os.getpid()
-
-
 def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(process: IsolatedProcess) -> None:
     """Else what a scene leaves behind in cycles would stay for good."""
     first, second, third = (count for _ in range(3) for count in process.stream("faults:left_out"))

@@ -2,14 +2,12 @@
 
 import csv
 import json
-import re
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from implausible import FAULTS, plant
 from recordings import LOG_ID, make_argoverse1, make_log
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -44,22 +42,6 @@ def test_scenes_alone_are_read_each_once_and_what_is_left_out_is_told(
         assert said in result.stderr
 
 
-def test_implausible_scene_is_refused_before_anything_is_driven_and_the_other_is_done(
-    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
-    change, said = FAULTS["swapped"]
-    bad = plant(data_scenes["arterial"], tmp_path / "train", change)
-    out = tmp_path / "out"
-    result = hid2("generate", bad, data_scenes["curve"], "-o", out, "--agents", 1)
-    assert result.returncode == 1
-    assert "1 of 2 scenes done" in result.stdout
-    found = rows(out)
-    assert found[bad.name]["folder"] == ""
-    assert re.search(said, found[bad.name]["reason"])
-    assert found[data_scenes["curve"].name]["placed"] == "1"
-    assert len(list(out.rglob("*.parquet"))) == 1
-
-
 @pytest.mark.slow
 def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -84,35 +66,6 @@ def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path,
     assert hid2("evaluate", mixed, "-o", tmp_path / "report", "-q").returncode == 0
     assert hid2("scan", mixed, "-q", "-o", tmp_path / "scan.csv").returncode == 0
     assert len((tmp_path / "scan.csv").read_text().splitlines()) == 4
-
-
-@pytest.mark.slow
-def test_single_scene_commands_take_a_sequence_and_a_window(hid2: Run, mixed: Path, tmp_path: Path) -> None:
-    sequence, log = mixed / "av1/val/data/7.csv", mixed / "logs" / "test" / LOG_ID
-    assert hid2("render", sequence, "-o", tmp_path / "s.png", "-q").returncode == 0
-    assert hid2("net", log, "-o", tmp_path / "net", "--window", 5, "-q").returncode == 0
-    assert len(list((tmp_path / "net").glob("*.net.xml"))) == 1
-    assert hid2("export", sequence, log, "--to", "fcd", "-o", tmp_path / "fcd", "--window", 5, "-q").returncode == 0
-    assert len(list((tmp_path / "fcd").glob("*.fcd.xml"))) == 2
-
-
-def test_choice_that_no_format_there_looks_at_is_refused(
-    hid2: Run, data_scenes: dict[str, Path], mixed: Path, tmp_path: Path
-) -> None:
-    scene, logs = data_scenes["curve"], mixed / "logs"
-    for command, option in (
-        (f"generate {scene} -o out", "--stride 5"), (f"generate {scene} -o out", "--window 30"),
-        (f"generate {scene} -o out", f"--map {scene}"), (f"scan {logs}", f"--map {scene}"),
-        (f"validate {scene}", f"--map {scene}"), (f"render {scene} -o out.png", "--window 3"),
-        (f"evaluate {scene} -o out", "--stride 5"), (f"paper table1 -o out --scenes {scene}", "--stride 5"),
-    ):  # fmt: skip
-        result = hid2(*command.split(), *option.split(), "-q", cwd=tmp_path)
-        there = "Argoverse 1 sequences" if "--map" in option else "windows of Argoverse 2 sensor logs"
-        said = f"hid2: error: {option} does nothing here, expected {there} among the scenes\n"
-        assert (result.returncode, result.stderr) == (2, said)
-    allowed = hid2("scan", mixed, "--stride", 50, "--map", "nowhere", "-q", cwd=tmp_path)
-    assert "--map nowhere: no such file" in allowed.stderr
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_cannot_be_read_is_quarantined_and_its_bundle_says_the_same(

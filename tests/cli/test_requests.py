@@ -1,52 +1,10 @@
 """The same mistake ends alike: one line with thing, value, what was expected and the way out, and nothing written."""
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 Run = Callable[..., Any]
-
-#: Requests that none of the three scenes of data/ can meet, 10.9 s long: options, and what the line says.
-MISTAKES = {
-    "--event cut_in --target 99999": r"event cut_in with target '99999': .*: not there, .*expected av, focal, any or",
-    "--event lead --target ghost --agents 0": r"event lead with target 'ghost': .* but for tracker fragments \(\w+, ",
-    "--near nobody": r"near 'nobody': .*: no such track, expected av, focal, scored, traffic, anywhere or one of",
-    "--event cut_in --at 20:25": r"event cut_in at 20:25 s: .*: the scene ends at 10.9 s, expected an earlier time",
-    "--event cut_in --at 10.9": r"event cut_in at 10.9:10.9 s: .*: the scene ends at 10.9 s, .*, to be across by then",
-    "--trigger-time 12": r"trigger time 12 s for lane changes and overtakes: .*: the scene ends at 10.9 s, expected",
-}
-
-
-@pytest.mark.slow
-def test_request_that_no_scene_can_meet_is_an_error_before_the_first_is_driven(
-    hid2: Run, data_root: Path, tmp_path: Path
-) -> None:
-    for options, words in MISTAKES.items():
-        result = hid2("generate", data_root, "-o", "out", "-q", *options.split(), cwd=tmp_path)
-        (line,) = result.stderr.splitlines()
-        assert (result.returncode, result.stdout) == (2, ""), options
-        assert re.match(f"hid2: error: {words}", line), line
-        assert re.search(r": can come about in none of .* \(3 of 3\); .*(val|train)/.*, for one: ", line), line
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_behaviour_that_no_map_offers_is_an_error_where_it_was_asked_for_by_name(
-    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
-    """The map of the curve has no turns. The usual shares ask for turns too, but not by name."""
-    curve = data_scenes["curve"]
-    for asked in (["--behaviours", "left_turn=1"], ["--set", "request.left_turn=0.5"]):
-        result = hid2("generate", curve, "-o", "out", "-q", *asked, cwd=tmp_path)
-        (line,) = result.stderr.splitlines()
-        assert result.returncode == 2
-        assert line.startswith("hid2: error: behaviour left_turn: can come about in none of the scenes looked at ")
-        assert f"looked at (1 of 1); {curve}: The map " in line
-        assert line.endswith("expected another behaviour or other scenes (see hid2 scan)")
-    assert list(tmp_path.iterdir()) == []
-    assert hid2("generate", curve, "-o", "out", "-q", "--agents", 1, cwd=tmp_path).returncode == 0
 
 
 def test_scene_that_cannot_be_read_neither_meets_a_request_nor_hides_that_none_does(

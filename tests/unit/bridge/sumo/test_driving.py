@@ -111,17 +111,6 @@ def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_s
 # Whom SUMO sees -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["bus", "motorcyclist"])
-def test_slower_leaders_of_all_kinds_are_followed(kind: str) -> None:
-    """45 m ahead at 4 m/s: it slows to about 4 m/s and keeps behind."""
-    size = {"bus": BoxSize(11.0, 2.8), "motorcyclist": BoxSize(2.2, 0.9)}[kind]
-    leader = recorded(85.0, 0.0, 4.0, kind=kind, size=size)
-    scene = scene_on(draw_two_lanes(), leader)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
-    assert _gaps(one, leader).min() > 1.0
-    assert np.mean(one.v[-10:]) < 5.5
-
-
 def test_agents_that_are_not_shown_need_not_be_there() -> None:
     """All recorded agents in SUMO, or only those that have to be shown: the same motion, to the last bit.
 
@@ -341,20 +330,6 @@ def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens() -> None:
     assert s[50] < 57.3
     assert v[40:80].min() < 2.0
     assert s[-1] > s[75] + 2.0
-
-
-def test_vehicle_joins_the_recorded_queue_and_goes_with_it() -> None:
-    """Somebody stands at 50 m until 8 s and then drives off at up to 6 m/s: it stops behind, and follows."""
-    steps = np.arange(110)
-    x = 50.0 + np.concatenate([np.zeros(80), np.cumsum(0.1 * np.clip(0.2 * np.arange(30), 0.0, 6.0))])
-    queue = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
-    scene = scene_on(draw_crossing(end_m=250.0, zebra=True), queue)
-    (one,) = drive(scene, start_on(scene, (1, 2, 3), 5.0, 9.0)).fleet.vehicles
-    gap = _gaps(one, queue)
-    assert gap.min() > 0.5
-    assert min(one.v[60:90]) < 0.5
-    assert gap[75] < 6.0
-    assert one.v[-1] > 0.5
 
 
 def test_pedestrian_on_the_crossing_is_let_across() -> None:

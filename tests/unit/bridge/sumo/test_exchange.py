@@ -1,9 +1,7 @@
 """A scene in SUMO's formats: FCD output is the exported positions, routes are ways of the net, which has a place."""
 
-import json
 import math
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -152,18 +150,6 @@ def test_sumo_knows_the_drivers_of_the_inserted_vehicles_and_drives_them(driven:
     assert driven.read_text() == ""
 
 
-def test_a_driver_that_is_not_whole_is_refused_by_name(made_scene: Path, tmp_path: Path) -> None:
-    scenario = read_scenario(made_scene)
-    folder = tmp_path / made_scene.name
-    shutil.copytree(made_scene, folder)
-    path = sidecar_path(folder, scenario.scenario_id)
-    content = json.loads(path.read_text())
-    del content["agents"][0]["driver"]["parameters"]["tau_s"]
-    path.write_text(json.dumps(content))
-    with pytest.raises(ScenarioError, match=r"gen_0: the driver in the sidecar has desired_mps, .*expected"):
-        sumo_files(read_scenario(folder))
-
-
 def test_a_fast_scene_has_one_net_and_one_limit_whatever_command_writes_it(
     made_scene: Path, copy_scene: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -199,30 +185,6 @@ def test_an_id_that_sumo_refuses_is_refused_by_name(data_scenes: dict[str, Path]
         NetError, match=rf"track {re.escape(repr(track_id))}: SUMO takes no such id, expected one without"
     ):
         sumo_files(replace(scenario, tracks=tracks))
-
-
-def test_agents_off_every_lane_have_none(data_scenes: dict[str, Path]) -> None:
-    """A lane is told within 2 m of a front bumper, or below the centre of an agent that moves along it, which may be
-    half a bus behind the front; some stand on the pavement.
-    """
-    scenario = read_scenario(data_scenes["intersection"])
-    files = sumo_files(scenario)
-    names = {name.removeprefix(scenario.scenario_id) for name in files if "_scene" not in name}
-    assert names == {".net.xml", ".poly.xml", ".view.xml", ".cells.csv", ".fcd.xml"}, "it has no routes and all else"
-    lanes = {}
-    for lane in etree.fromstring(files[f"{scenario.scenario_id}.net.xml"]).iter("lane"):
-        points = [tuple(map(float, xy.split(","))) for xy in lane.get("shape").split()]
-        lanes[lane.get("id")] = shapely.LineString(points)
-    told = {True: 0, False: 0}
-    for vehicle in etree.fromstring(files[f"{scenario.scenario_id}.fcd.xml"]).iter("vehicle"):
-        front, lane = shapely.Point(float(vehicle.get("x")), float(vehicle.get("y"))), vehicle.get("lane")
-        told[lane is not None] += 1
-        assert (lane is None) == (vehicle.get("pos") is None)
-        if lane is None:
-            assert min(front.distance(line) for line in lanes.values()) > 1.9
-        else:
-            assert front.distance(lanes[lane]) < 8.0
-    assert min(told.values()) > 0
 
 
 def test_the_net_lies_on_a_map(written: Path, made_scene: Path) -> None:
