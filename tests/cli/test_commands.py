@@ -13,11 +13,9 @@ from typing import Any
 import pytest
 from baseline_file import write_baseline
 
+from bridge.cli.commands import COMMANDS
+
 Run = Callable[..., Any]
-COMMANDS = (
-    "generate", "net", "validate", "evaluate", "calibrate", "view", "render", "plot", "config", "scan", "study", "make",
-    "paper", "resimulate", "gui", "compose", "forecast",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")

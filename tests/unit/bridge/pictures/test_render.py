@@ -131,20 +131,6 @@ def test_step_beyond_the_scene_and_a_file_in_the_way_are_explained(data_scenes, 
             render.render_scene(read_scenario(scene), tmp_path / "file" / f"scene{suffix}")
 
 
-def test_policies_differ_for_colour_blind_readers():
-    """Simulated deuteranopia and protanopia (Machado 2009, severity 1): colours stay apart in Lab-like distance."""
-    blindness = {
-        "deuteranopia": [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
-        "protanopia": [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
-    }
-    colors = np.array([mpl.colors.to_rgb(color) for color in figures.POLICY_COLORS.values()])
-    linear = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
-    for name, matrix in blindness.items():
-        seen = np.clip(linear @ np.array(matrix).T, 0, 1) ** (1 / 2.4)
-        apart = [np.linalg.norm(a - b) for k, a in enumerate(seen) for b in seen[k + 1 :]]
-        assert min(apart) > 0.15, name
-
-
 def boxes_of(figure, texts):
     figure.draw_without_rendering()
     return [text.get_window_extent() for text in texts if text.get_text()]
