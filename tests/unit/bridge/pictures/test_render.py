@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import imageio.v3 as iio
 import matplotlib as mpl
@@ -13,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
 
-from bridge.pictures import figures, render
+from bridge.pictures import figures, plot, render
 from bridge.pictures.plot import agent_figure
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
@@ -182,6 +183,19 @@ def test_plot_has_every_quantity_with_its_unit_and_marks_the_moments_of_the_side
     assert {round(t, 6) for t in (maneuver.trigger_s, maneuver.start_s, maneuver.crossing_s) if t is not None} <= lines
     figures.save(agent_figure(read_scenario(made_scene), "AV"), tmp_path / "deep" / "av.png")  # a recorded one
     assert iio.imread(tmp_path / "deep" / "av.png").shape[0] > 500
+
+
+def test_legend_of_cells_has_lanes_in_the_order_driven_none_as_another(data_scenes):
+    """Eight lanes in columns of six: 0 and 6, 1 and 7, 2 ..., read row by row 0 to 7; the seventh is dashed."""
+    scenario, ax = read_scenario(data_scenes["intersection"]), Figure().subplots()
+    lanes = np.array(list(scenario.graph.lanes))
+    driven = SimpleNamespace(lane=np.repeat(np.arange(8), 2), s=np.zeros(16))
+    plot._cells(
+        ax, np.arange(16) / 10, scenario, SimpleNamespace(lanes=SimpleNamespace(lane_ids=lanes), matches=driven)
+    )
+    told = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert told == [str(lanes[k]) for k in (0, 6, 1, 7, 2, 3, 4, 5)]
+    assert len({(line.get_color(), line.get_linestyle()) for line in ax.get_lines()}) == 8
 
 
 def test_film_without_ffmpeg_is_an_error_that_says_where_to_look(data_scenes, tmp_path, monkeypatch):
