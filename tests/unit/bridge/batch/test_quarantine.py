@@ -105,10 +105,6 @@ def _encrypted(path: Path) -> None:
     path.write_bytes(raw)
 
 
-def _bomb(path: Path) -> None:
-    craft(path, members() | {"scene/zeros": bytes(130_000_000)})
-
-
 def _twice(path: Path) -> None:
     craft(path, members())
     with pytest.warns(UserWarning, match="Duplicate name"), zipfile.ZipFile(path, "a") as archive:
@@ -116,7 +112,10 @@ def _twice(path: Path) -> None:
 
 
 ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a bomb": (_bomb, "unpacks to 130 MB, expected at most 128 MB"),
+    "a bomb": (
+        lambda p: craft(p, members() | {"scene/zeros": bytes(130_000_000)}),
+        "unpacks to 130 MB, expected at most 128 MB",
+    ),
     "a large request": (lambda p: craft(p, members() | {"request.json": bytes(2_000_000)}), "more than 1 MB"),
     "large details": (lambda p: craft(p, members() | {"details.txt": bytes(5_000_000)}), "more than 4 MB"),
     "a list without end": (lambda p: craft(p, members(left_out=["x"] * 60_000)), "at most 64 items"),

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
@@ -19,6 +20,7 @@ from bridge.pictures.plot import agent_figure
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
 from netconvert.errors import ConfigError, ExportError
+from netconvert.lane_graph import LaneGraph
 
 
 def pixels(path, color):
@@ -82,6 +84,14 @@ def test_recorded_scene_is_one_panel_without_generated_colours_and_has_cells_on_
     assert pixels(tmp_path / "a.png", figures.VERMILION) == 0
     cells = render.render_scene(scenario, tmp_path / "b.png", cells=True)
     assert pixels(cells, "#A8C4D6") > pixels(tmp_path / "a.png", "#A8C4D6") + 200
+
+
+def test_a_cell_in_which_the_boundaries_of_its_lane_cross_is_drawn():
+    lane = draw_lane(5, [(0, 0), (20, 0)])
+    left, right = (np.array([[0.0, side * 2.0], [16.0, side * 2.0], [20.0, -side * 8.0]]) for side in (1, -1))
+    axes = Figure().add_subplot()
+    figures.draw_map(axes, LaneGraph({5: replace(lane, left_boundary=left, right_boundary=right)}), cells=True)
+    assert len(axes.collections[-1].get_paths()) == 6
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg", ".pdf"])
