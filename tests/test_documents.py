@@ -178,3 +178,12 @@ def test_the_study_on_the_page_of_studies_is_one(tmp_path: Path) -> None:
     shutil.copy(ROOT / "data" / "studies" / "two_sided.py", tmp_path)
     study = read_study(tmp_path / "study.toml", scenes=[ROOT / "data" / "av2"])
     assert len(study.points) == 4
+
+
+def test_every_symbol_of_the_paper_tables_is_in_the_table() -> None:
+    """What the paper names and a reader looks for."""
+    text = (ROOT / "hid2" / "README.md").read_text(encoding="utf-8")
+    wanted = ("N_l", "type_l", "sigma", "t_trigger", "Algorithm 1", "d_obs", "d_safe^front", "d_overtake", "f_left",
+              "f_right", "n_i", "case 1", "case 2", "case 3", "R_min", "a_y,max", "LO, LA, JE", "SCR", "ORR",
+              "ablations")  # fmt: skip
+    assert [symbol for symbol in wanted if symbol not in text] == []

@@ -321,3 +321,10 @@ def test_ci_calls_the_test_command_of_the_readme() -> None:
     """.ci/run takes the line from the README; this is the same pattern, so that a change of either shows here."""
     assert len(re.findall(r"^    (sh setup\.sh tests .*pytest)$", README, re.MULTILINE)) == 1
     assert r"s/^    \(sh setup\.sh tests .*pytest\)$/\1/p" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_quick_start_is_two_commands_of_one_line() -> None:
+    section = README.split("## Quick start")[1].split("\n## ")[0]
+    commands = [line.strip() for line in section.splitlines() if line.startswith("    ")]
+    assert len(commands) == 2
+    assert all(command.startswith("sh setup.sh") for command in commands)

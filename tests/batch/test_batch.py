@@ -134,6 +134,9 @@ class TestFullDisk:
         assert {row.status for row in rows} <= {DONE, QUARANTINED}
         assert len(rows) == len(folders)
 
+    def test_in_a_scene(self, make_data_set: MakeDataSet, tmp_path: Path) -> None:
+        self.check(make_data_set(3, {1: "full once"}), tmp_path / "out", pytest.MonkeyPatch())
+
     @pytest.mark.parametrize("what", ["add", "save"])
     def test_in_the_manifest(
         self, make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
@@ -177,6 +180,19 @@ def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set:
     assert rows[1].bundle
     _, again = reproduce(tmp_path / "out" / rows[1].bundle, tmp_path / "again", functions=[COPIES])
     assert again.failure == "exception"
+
+
+def test_pipes_and_folders_in_the_place_of_files_do_not_hold_a_batch_up(
+    make_data_set: MakeDataSet, tmp_path: Path
+) -> None:
+    folders = make_data_set(3)
+    for folder, pattern, make in ((folders[0], "*.parquet", os.mkfifo), (folders[1], "*.json", os.mkdir)):
+        (path,) = folder.glob(pattern)
+        path.unlink()
+        make(path)
+    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(function=COPIES, timeout_s=30))
+    assert statuses(rows) == {"scene-000": "error", "scene-001": "error", "scene-002": DONE}
+    assert all("not a regular file" in row.reason for row in rows[:2])
 
 
 def test_lock_that_is_a_link_is_not_written_through(make_data_set: MakeDataSet, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import psutil
 import pytest
 from interrupted import Command, damaged, faults, leftovers
 
-from bridge.interruption import remove_abandoned
+from bridge.interruption import hidden_file, hidden_folder, remove_abandoned, tidied
 
 Script = Callable[[str], subprocess.Popen[str]]
 #: Stops every Python process of a command where it imports a module, and says so by a file.
@@ -178,6 +178,18 @@ def test_signal_that_does_not_wake_the_main_thread_is_not_lost(script: Script) -
     assert process.returncode == 130
 
 
+def test_children_end_with_the_command_whatever_started_them(script: Script) -> None:
+    process = script(
+        "import subprocess\n"
+        "child = subprocess.Popen([sys.executable, '-c', \"print('ready', flush=True); input()\"],"
+        " stdin=subprocess.PIPE, start_new_session=True)\ntime.sleep(600)"
+    )
+    (child,) = psutil.Process(process.pid).children()
+    process.send_signal(signal.SIGTERM)
+    process.wait()
+    assert not child.is_running()
+
+
 def test_what_is_being_written_is_removed_only_when_its_process_is_gone(tmp_path: Path, script: Script) -> None:
     (tmp_path / "below").mkdir()
     process = script(
@@ -206,3 +218,15 @@ def test_what_another_command_is_about_to_lock_stays(tmp_path: Path) -> None:
         os.utime(path, (0.0, 0.0))
     remove_abandoned(tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_hidden_places_go_also_with_an_error(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    def fail() -> None:
+        with tidied(lambda: told.append("tidied")), hidden_folder(tmp_path) as folder, hidden_file(folder, ".csv"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert (told, list(tmp_path.iterdir())) == (["tidied"], [])

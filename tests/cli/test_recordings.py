@@ -2,12 +2,14 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from implausible import FAULTS, plant
 from recordings import LOG_ID, make_argoverse1, make_log
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -40,6 +42,22 @@ def test_scenes_alone_are_read_each_once_and_what_is_left_out_is_told(
     assert result.returncode == code, result.stderr
     for said in (f"{copy}: the same scene as {mixed}", "2 of 4 recordings left out: sensor logs and Argoverse 1"):
         assert said in result.stderr
+
+
+def test_implausible_scene_is_refused_before_anything_is_driven_and_the_other_is_done(
+    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    change, said = FAULTS["swapped"]
+    bad = plant(data_scenes["arterial"], tmp_path / "train", change)
+    out = tmp_path / "out"
+    result = hid2("generate", bad, data_scenes["curve"], "-o", out, "--agents", 1)
+    assert result.returncode == 1
+    assert "1 of 2 scenes done" in result.stdout
+    found = rows(out)
+    assert found[bad.name]["folder"] == ""
+    assert re.search(said, found[bad.name]["reason"])
+    assert found[data_scenes["curve"].name]["placed"] == "1"
+    assert len(list(out.rglob("*.parquet"))) == 1
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lxml import etree
+from separating_axes import boxes_overlap
 
 from bridge.batch.batch import SceneFolders, plan
 from bridge.batch.isolation import Failure
@@ -17,6 +18,7 @@ from bridge.sumo.exchange import sumo_files
 from hid2.agents import Track
 from hid2.params import Config, Limits
 from netconvert.errors import ExportError
+from netconvert.geometry import box_corners
 
 LIMITS = Limits()
 AGENTS = 8
@@ -85,6 +87,25 @@ def test_vehicles_are_placed_and_drive_as_far_as_their_speeds_say_within_the_lim
 def test_judge_finds_nothing_wrong(made):
     """No boxes that touch, at any step or between two, nothing off the ground, nothing met too soon."""
     assert made.judge().empty
+
+
+def test_no_two_boxes_touch(made):
+    """Generated with everybody, at every step."""
+    everybody = [*made.source.tracks, *made.generated]
+    for track in made.generated:
+        for row, step in enumerate(track.timesteps.tolist()):
+            for other in everybody:
+                at = np.flatnonzero(other.timesteps == step)
+                if other is track or not at.size:
+                    continue
+                if np.hypot(*(other.position[at[0]] - track.position[row])) > 20.0:
+                    continue
+                assert not boxes_overlap(_corners(track, row), _corners(other, int(at[0])))
+
+
+def _corners(track, row):
+    box = {"length_m": track.size.length_m, "width_m": track.size.width_m}
+    return box_corners(track.position[[row]], track.heading[[row]], **box)[0]
 
 
 def test_times_in_the_sidecar_are_seconds_of_the_recording(made):

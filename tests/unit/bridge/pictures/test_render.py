@@ -142,6 +142,17 @@ def test_step_beyond_the_scene_and_a_file_in_the_way_are_explained(data_scenes, 
             render.render_scene(read_scenario(scene), tmp_path / "file" / f"scene{suffix}")
 
 
+def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypatch):
+    def fail(self, steps, on_frame):
+        yield np.zeros((64, 64, 3), dtype=np.uint8)
+        raise OSError("no more memory")
+
+    monkeypatch.setattr("bridge.pictures.render._Drawing.frames", fail)
+    with pytest.raises(ExportError, match="no more memory"):
+        render.render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
 def boxes_of(figure, texts):
     figure.draw_without_rendering()
     return [text.get_window_extent() for text in texts if text.get_text()]

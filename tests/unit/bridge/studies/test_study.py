@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.config import config_sha256
+from bridge.config import config_sha256, load_config
 from bridge.generation.gaps import gaps_bytes
+from bridge.generation.generate import generate
 from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.page import write_results
@@ -147,3 +148,14 @@ def test_studies_on_the_corridor_can_be_read(tmp_path: Path, name: str) -> None:
     study = read_study(ROOT / "data" / "studies" / f"{name}.toml", scenes=[tmp_path])
     assert len(study.points) == 5
     assert study.configs[0][0].flow.veh_per_h_lane == 1500.0
+
+
+def test_a_request_has_one_record_though_its_vehicle_is_driven_again(data_scenes: dict[str, Path]) -> None:
+    """Four lane changes are asked for; one vehicle has braked for another that goes, and is driven once more."""
+    settings = ["spawn.reseed_rounds=1", "request.trigger_min_s=1", "request.trigger_max_s=1", "request.agents=8"]
+    settings += ["request.straight=0.5", "request.left_turn=0", "request.right_turn=0", "request.overtake=0"]
+    scene = generate(
+        read_scenario(data_scenes["arterial"]),
+        load_config(None, [*settings, "request.lane_change=0.5", "request.seed=1"]),
+    )
+    assert sum(len(agent.maneuvers) for agent in scene.sidecar.agents) == 4

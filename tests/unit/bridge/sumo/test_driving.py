@@ -332,6 +332,20 @@ def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens() -> None:
     assert s[-1] > s[75] + 2.0
 
 
+def test_vehicle_joins_the_recorded_queue_and_goes_with_it() -> None:
+    """Somebody stands at 50 m until 8 s and then drives off at up to 6 m/s: it stops behind, and follows."""
+    steps = np.arange(110)
+    x = 50.0 + np.concatenate([np.zeros(80), np.cumsum(0.1 * np.clip(0.2 * np.arange(30), 0.0, 6.0))])
+    queue = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
+    scene = scene_on(draw_crossing(end_m=250.0, zebra=True), queue)
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 5.0, 9.0)).fleet.vehicles
+    gap = _gaps(one, queue)
+    assert gap.min() > 0.5
+    assert min(one.v[60:90]) < 0.5
+    assert gap[75] < 6.0
+    assert one.v[-1] > 0.5
+
+
 def test_pedestrian_on_the_crossing_is_let_across() -> None:
     """The walker is on the vehicle's way (|y| < 2) from 3 to 6.2 s; at 10 m/s from 65 m the crossing comes at 3.5 s."""
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))

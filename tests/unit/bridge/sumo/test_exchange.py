@@ -1,7 +1,9 @@
 """A scene in SUMO's formats: FCD output is the exported positions, routes are ways of the net, which has a place."""
 
+import json
 import math
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -148,6 +150,18 @@ def test_sumo_knows_the_drivers_of_the_inserted_vehicles_and_drives_them(driven:
             assert libsumo.vehicle.getSpeed(name) <= desired[name] + 0.1
     assert seen == desired.keys()
     assert driven.read_text() == ""
+
+
+def test_a_driver_that_is_not_whole_is_refused_by_name(made_scene: Path, tmp_path: Path) -> None:
+    scenario = read_scenario(made_scene)
+    folder = tmp_path / made_scene.name
+    shutil.copytree(made_scene, folder)
+    path = sidecar_path(folder, scenario.scenario_id)
+    content = json.loads(path.read_text())
+    del content["agents"][0]["driver"]["parameters"]["tau_s"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(ScenarioError, match=r"gen_0: the driver in the sidecar has desired_mps, .*expected"):
+        sumo_files(read_scenario(folder))
 
 
 def test_a_fast_scene_has_one_net_and_one_limit_whatever_command_writes_it(
