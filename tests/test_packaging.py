@@ -309,16 +309,6 @@ def test_setup_fails_with_a_sentence(set_up: Setup, arguments: list[str], comman
     assert said in last
 
 
-@pytest.mark.slow
-def test_setup_tells_that_it_is_still_at_work(set_up: Setup) -> None:
-    """Fetching takes 8 s here; the clock is not started anew by a step, and it does not outlive the script."""
-    sleep = str(shutil.which("sleep"))
-    slow = f'case "$1" in -m) [ "$3" = --version ] || {sleep} 4 ;; -) {sleep} 4 ;; *) echo "$0" ;; esac'
-    result = set_up(python3=slow, sleep=f'exec {sleep} "$1"')
-    assert result.stderr.count("setup.sh: still at work\n") == 2
-    assert result.stderr.splitlines()[0] == "setup.sh: still at work"
-
-
 def test_packages_to_install_by_hand_are_all_that_is_declared() -> None:
     """INSTALL.md has the line for pip; numpy comes with others."""
     (line,) = re.findall(r"^    pip install --no-deps av2 .*?(?<!\\)$", (ROOT / "INSTALL.md").read_text(), re.M | re.S)

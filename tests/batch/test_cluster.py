@@ -24,11 +24,9 @@ from bridge.config import load_config
 from netconvert.errors import BatchError, ConfigError
 
 MakeDataSet = Callable[..., list[Path]]
+Cluster = tuple[str, list[subprocess.Popen[bytes]]]
 BIN = Path(sys.executable).parent
 CONFIG = load_config(flags={"request.agents": 5})
-
-
-Cluster = tuple[str, list[subprocess.Popen[bytes]]]
 
 
 @contextlib.contextmanager
@@ -57,47 +55,24 @@ def started_cluster(tmp_path: Path, *, protocol: str, settings: dict[str, str], 
                 process.kill()
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    """Two workers, no certificates."""
-    with started_cluster(tmp_path, protocol="tcp", settings={}, workers=2) as found:
-        yield found
-
-
 @pytest.mark.slow
-def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
+def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     """`hid2 generate --scheduler` uses its workers, also when one is killed on the way; the bytes are the same."""
-    address, processes = cluster
     folders = make_data_set(6)
     run_batch(plan(folders, CONFIG), tmp_path / "here", Options(jobs=2))
     command = [str(BIN / "hid2"), "generate", str(folders[0].parent), "-o", str(tmp_path / "there"), "--agents", "5"]
-    generating = subprocess.Popen([*command, "--scheduler", address], stdout=subprocess.PIPE, text=True)
-    while not (tmp_path / "there" / "val").exists():
-        assert generating.poll() is None
-        time.sleep(0.1)
-    killed = processes.pop()
-    killed.kill()  # the nanny: its worker goes with it
-    killed.wait()
-    output, _ = generating.communicate(timeout=300)
+    with started_cluster(tmp_path, protocol="tcp", settings={}, workers=2) as (address, processes):
+        generating = subprocess.Popen([*command, "--scheduler", address], stdout=subprocess.PIPE, text=True)
+        while not (tmp_path / "there" / "val").exists():
+            assert generating.poll() is None
+            time.sleep(0.1)
+        killed = processes.pop()
+        killed.kill()  # the nanny: its worker goes with it
+        killed.wait()
+        output, _ = generating.communicate(timeout=300)
     assert generating.returncode == 0
     assert "6 of 6 scenes done" in output
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
-
-
-@pytest.mark.slow
-def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
-    """Also where Dask has much to say about it."""
-    address, processes = cluster
-    command = [str(BIN / "hid2"), "generate", str(make_data_set(9)[0].parent), "-o", str(tmp_path / "out"), "-q"]
-    generating = subprocess.Popen([*command, "--scheduler", address], stderr=subprocess.PIPE, text=True)
-    while not (tmp_path / "out" / "val").exists():
-        assert generating.poll() is None
-        time.sleep(0.1)
-    processes[0].kill()
-    _, errors = generating.communicate(timeout=300)
-    assert generating.returncode == 1
-    (line,) = errors.splitlines()
-    assert line.startswith(f"hid2: error: scheduler {address}: ")
 
 
 def certificates(folder: Path) -> dict[str, str]:

@@ -21,20 +21,6 @@ from netconvert.errors import BatchError
 TASKS = [Task(f"t{k}", "faults:numbers", "", (10 * k, 10 * k + 1)) for k in range(6)]
 
 
-def values(results: object) -> dict[str, list[object]]:
-    return {
-        outcomes[0].task.key: [outcome.value[1] if outcome.value else outcome.failure.kind for outcome in outcomes]
-        for outcomes in results  # type: ignore[attr-defined]
-    }
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_every_task_is_done_once_and_a_crash_costs_its_item_only(jobs: int) -> None:
-    tasks = [*TASKS, Task("bad", "faults:numbers", "", (1, "segfault", 2))]
-    done = {task.key: list(task.items) for task in TASKS}
-    assert values(execute_here(tasks, jobs=jobs)) == done | {"bad": [1, "crashed", 2]}
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_each_item_comes_with_its_value_or_failure_in_its_place_whatever_is_done_first(jobs: int) -> None:
     """Fourteen items, chunks of three for one worker and of one for two: the slow one is done after those behind it."""

@@ -20,7 +20,7 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[IsolatedProces
     """One for all tests, which starts again where one has ended it; it works in a folder of its own."""
     with (
         contextlib.chdir(tmp_path_factory.mktemp("isolated")),
-        contextlib.closing(IsolatedProcess(Settings(timeout_s=5.0))) as made,
+        contextlib.closing(IsolatedProcess(Settings(timeout_s=3.0))) as made,
     ):
         yield made
 
@@ -28,13 +28,6 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[IsolatedProces
 def pid_of(process: IsolatedProcess) -> int:
     assert process._process is not None
     return process._process.pid
-
-
-def test_values_come_in_order_from_one_other_process(process: IsolatedProcess) -> None:
-    values = list(process.stream("faults:numbers", "shared", (1, 2, 3)))
-    assert [value[:2] for value in values] == [("shared", 1), ("shared", 2), ("shared", 3)]
-    assert {value[2] for value in values} == {pid_of(process)}
-    assert pid_of(process) != os.getpid()
 
 
 def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(process: IsolatedProcess) -> None:
@@ -45,7 +38,7 @@ def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(proc
 
 @pytest.mark.parametrize(("fault", "kind", "words"), [
     ("segfault", "crashed", "SIGSEGV"), ("sumo", "crashed", "SIGSEGV"), ("killed", "killed", "SIGKILL"),
-    ("exit", "crashed", "status 3"), ("hang", "timeout", "5 s"), ("deep", "timeout", "5 s"),
+    ("exit", "crashed", "status 3"), ("hang", "timeout", "3 s"), ("deep", "timeout", "3 s"),
     ("signal", "crashed", "(signal 40)"),
     ("raise", "exception", "RuntimeError: fault raise"),
     ("memory", "memory", "more memory than the 4000 MB a scene may take (hid2 generate --scene-memory)"),

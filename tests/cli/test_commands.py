@@ -13,11 +13,9 @@ from typing import Any
 import pytest
 from baseline_file import write_baseline
 
+from bridge.cli.commands import COMMANDS
+
 Run = Callable[..., Any]
-COMMANDS = (
-    "generate", "net", "validate", "evaluate", "calibrate", "view", "render", "plot", "config", "scan", "study", "make",
-    "paper", "resimulate", "gui", "compose", "forecast",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -126,12 +124,6 @@ def test_paper_makes_a_table(hid2: Run, data_scenes: dict[str, Path], tmp_path: 
     result = hid2("paper", "table1", "--scenes", arterial, "--seeds", 1, "--agents", 3, "-o", tmp_path)
     assert result.returncode == 0, result.stderr
     assert Path(result.stdout.strip()).is_file()
-
-
-def test_render_and_plot_write_pictures(hid2: Run, generated: Path, tmp_path: Path) -> None:
-    assert hid2("render", generated, "-o", tmp_path / "scene.png", "--cells").returncode == 0
-    assert hid2("plot", generated, "--agent", "gen_0", "-o", tmp_path / "agent.png").returncode == 0
-    assert all((tmp_path / name).read_bytes()[:4] == b"\x89PNG" for name in ("scene.png", "agent.png"))
 
 
 def test_config_lists_every_parameter_and_reads_its_toml_back(hid2: Run, tmp_path: Path) -> None:

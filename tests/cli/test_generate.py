@@ -146,13 +146,6 @@ def test_scene_goes_into_the_split_of_its_source_and_it_is_said_where_there_is_n
     assert [Path(folder).parent.name for folder in folders] == ["", source.parent.name]
 
 
-def test_selection_by_facts(hid2: Run, data_root: Path, tmp_path: Path) -> None:
-    result = hid2("generate", data_root, "-o", tmp_path / "out", "--agents", 1, "--can", "left_turn", "--split", "val")
-    assert result.returncode == 0
-    assert [row["split"] for row in rows_of(tmp_path / "out")] == ["val"]
-    assert "1 of 3 scenes selected" in result.stderr
-
-
 def test_debug_log_tells_the_story_of_every_vehicle(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     """As many lines as vehicles that are in the scene or in its record of replaced ones; without -vv none of them."""
     asked = ("generate", data_scenes["arterial"], "--agents", 4)

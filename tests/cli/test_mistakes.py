@@ -26,6 +26,15 @@ NAMES = [
     ("generate av2 -o out --set request.agnts=3", "key", "request.agnts", "request.agents"),
     ("generate av2 -o out --event cutin --target focal", "--event", "cutin", "cut_in"),
     ("generate av2 -o out --near ego", "near", "ego", "av"),
+    ("generate av2 -o out --event cut_in --target 99999", "target", "99999", r"\(3 of 3\); .*expected av, focal, any"),
+    (
+        "generate av2 -o out --event lead --target ghost --agents 0",
+        "target",
+        "ghost",
+        r"but for tracker fragments \(\w",
+    ),
+    ("generate s/curve -o out --behaviours left_turn=1", "behaviour", "left_turn", r"\(1 of 1\); .*curve: The map "),
+    ("generate s/curve -o out --set request.left_turn=0.5", "behaviour", "left_turn", "another behaviour"),
     ("scan av2 --city Miamii", "city", "Miamii", "miami"),
     ("scan av2 --can u_turn", "--can", "u_turn", "left_turn"),
     ("render s/made --agent gen0 -o a.png", "track", "gen0", "gen_0"),
@@ -38,6 +47,8 @@ NAMES = [
 ]
 UNITS = [
     ("generate av2 -o out --event cut_in --at 2000:6000", "cut_in", "2000", "10.9 s"),
+    ("generate av2 -o out --event cut_in --at 10.9", "cut_in", "at 10.9:10.9 s", "to be across by then"),
+    ("generate av2 -o out --trigger-time 12", "trigger time", "12 s", "the scene ends at 10.9 s, expected"),
     ("generate av2 -o out --agents 10.5", "agents", "10.5", "max"),
     ("generate av2 -o out --behaviours lane_change=50%", "lane_change", "50%", "0 to 1"),
     ("make corridor -o roads --length 0.5", "--length", "0.5", "100 to 5000 m"),
@@ -48,6 +59,7 @@ UNITS = [
     ("make arterial -o roads --lanes 3", "--lanes", "3", r"arterial\.toml has its own"),
 ]
 PATHS = [
+    ("generate av2 -o out --config av2", "av2", "is a folder", "configuration"),
     ("generate nowhere -o out", "nowhere", "no such folder", "scenario folder"),
     ("generate s/curve/scenario.parquet -o out", "scenario.parquet", "no such|is a file", "folder"),
     ("generate empty -o out", "empty", "no scenario", r"scenario_<id>\.parquet"),
@@ -79,6 +91,11 @@ FORMATS = [
     ("generate waymo -o out", "waymo", "tfrecord", "Argoverse"),
     ("generate scenes.zip -o out", r"scenes\.zip", "is a file|archive", "unpack"),
     ("calibrate av2 -o mine.csv", r"mine\.csv", "TOML", r"NAME\.toml"),
+    ("generate s/curve -o out --stride 5", "--stride 5", "does nothing here", "windows of Argoverse 2 sensor logs"),
+    ("render s/curve -o a.png --window 3", "--window 3", "does nothing here", "windows of Argoverse 2 sensor logs"),
+    ("evaluate s/curve -o out --stride 5", "--stride 5", "does nothing here", "windows of Argoverse 2 sensor logs"),
+    ("paper table1 -o out --scenes s/curve --stride 5", "--stride 5", "does nothing here", "windows"),
+    ("validate s/curve --map s/curve", "--map s/curve", "does nothing here", "Argoverse 1 sequences"),
     ("generate av2 -o out --format argoverse1", "--format", "argoverse1", "Argoverse 1"),
     ("generate --repro table.csv", r"table\.csv", "no ZIP file", "bundle"),
     ("study no_scenes.toml -o out", r"no_scenes\.toml", "no key 'scenes'", "folders"),

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bridge.cli.places import check_out, check_scenes, one_scene
+from bridge.cli.places import check_out, one_scene
 from netconvert.errors import ConfigError
 
 Run = Callable[..., Any]
@@ -89,22 +89,6 @@ def test_no_command_writes_into_a_scene_or_beside_recorded_ones(hid2: Run, data_
             assert words in result.stderr, command
     assert sorted(data_set.rglob("*")) == before
     assert [path.name for path in tmp_path.iterdir()] == ["root"]
-
-
-def test_file_where_a_folder_is_wanted_is_named_with_what_to_give(data_set: Path, tmp_path: Path) -> None:
-    parquet = next(data_set.rglob("scenario_*.parquet"))
-    with pytest.raises(ConfigError, match=f"is a file, expected a folder; give its folder, {parquet.parent}"):
-        check_scenes([parquet])
-    for name, said in (("a.zip", "hid2 generate --repro"), ("a.tar.gz", "unpack it"), ("a.txt", "folder of a scene")):
-        (tmp_path / name).touch()
-        with pytest.raises(ConfigError, match=said):
-            check_scenes([tmp_path / name])
-    with pytest.raises(ConfigError, match="is a file; choose another output folder"):
-        check_out(tmp_path / "a.txt")
-    with pytest.raises(ConfigError, match="cannot be made"):
-        check_out(tmp_path / "a.txt" / "picture.png", is_file=True)
-    with pytest.raises(ConfigError, match="expected a file to write"):
-        check_out(tmp_path, is_file=True)
 
 
 def test_command_of_one_scene_gets_the_only_one_of_a_data_set(data_set: Path, tmp_path: Path) -> None:

@@ -86,35 +86,6 @@ def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path,
     assert len((tmp_path / "scan.csv").read_text().splitlines()) == 4
 
 
-@pytest.mark.slow
-def test_single_scene_commands_take_a_sequence_and_a_window(hid2: Run, mixed: Path, tmp_path: Path) -> None:
-    sequence, log = mixed / "av1/val/data/7.csv", mixed / "logs" / "test" / LOG_ID
-    assert hid2("render", sequence, "-o", tmp_path / "s.png", "-q").returncode == 0
-    assert hid2("net", log, "-o", tmp_path / "net", "--window", 5, "-q").returncode == 0
-    assert len(list((tmp_path / "net").glob("*.net.xml"))) == 1
-    assert hid2("export", sequence, log, "--to", "fcd", "-o", tmp_path / "fcd", "--window", 5, "-q").returncode == 0
-    assert len(list((tmp_path / "fcd").glob("*.fcd.xml"))) == 2
-
-
-def test_choice_that_no_format_there_looks_at_is_refused(
-    hid2: Run, data_scenes: dict[str, Path], mixed: Path, tmp_path: Path
-) -> None:
-    scene, logs = data_scenes["curve"], mixed / "logs"
-    for command, option in (
-        (f"generate {scene} -o out", "--stride 5"), (f"generate {scene} -o out", "--window 30"),
-        (f"generate {scene} -o out", f"--map {scene}"), (f"scan {logs}", f"--map {scene}"),
-        (f"validate {scene}", f"--map {scene}"), (f"render {scene} -o out.png", "--window 3"),
-        (f"evaluate {scene} -o out", "--stride 5"), (f"paper table1 -o out --scenes {scene}", "--stride 5"),
-    ):  # fmt: skip
-        result = hid2(*command.split(), *option.split(), "-q", cwd=tmp_path)
-        there = "Argoverse 1 sequences" if "--map" in option else "windows of Argoverse 2 sensor logs"
-        said = f"hid2: error: {option} does nothing here, expected {there} among the scenes\n"
-        assert (result.returncode, result.stderr) == (2, said)
-    allowed = hid2("scan", mixed, "--stride", 50, "--map", "nowhere", "-q", cwd=tmp_path)
-    assert "--map nowhere: no such file" in allowed.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_what_cannot_be_read_is_quarantined_and_its_bundle_says_the_same(
     hid2: Run, mixed: Path, tmp_path: Path
 ) -> None:

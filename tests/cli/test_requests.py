@@ -1,36 +1,10 @@
 """The same mistake ends alike: one line with thing, value, what was expected and the way out, and nothing written."""
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 Run = Callable[..., Any]
-
-#: Requests that none of the three scenes of data/ can meet, 10.9 s long: options, and what the line says.
-MISTAKES = {
-    "--event cut_in --target 99999": r"event cut_in with target '99999': .*: not there, .*expected av, focal, any or",
-    "--event lead --target ghost --agents 0": r"event lead with target 'ghost': .* but for tracker fragments \(\w+, ",
-    "--near nobody": r"near 'nobody': .*: no such track, expected av, focal, scored, traffic, anywhere or one of",
-    "--event cut_in --at 20:25": r"event cut_in at 20:25 s: .*: the scene ends at 10.9 s, expected an earlier time",
-    "--event cut_in --at 10.9": r"event cut_in at 10.9:10.9 s: .*: the scene ends at 10.9 s, .*, to be across by then",
-    "--trigger-time 12": r"trigger time 12 s for lane changes and overtakes: .*: the scene ends at 10.9 s, expected",
-}
-
-
-@pytest.mark.slow
-def test_request_that_no_scene_can_meet_is_an_error_before_the_first_is_driven(
-    hid2: Run, data_root: Path, tmp_path: Path
-) -> None:
-    for options, words in MISTAKES.items():
-        result = hid2("generate", data_root, "-o", "out", "-q", *options.split(), cwd=tmp_path)
-        (line,) = result.stderr.splitlines()
-        assert (result.returncode, result.stdout) == (2, ""), options
-        assert re.match(f"hid2: error: {words}", line), line
-        assert re.search(r": can come about in none of .* \(3 of 3\); .*(val|train)/.*, for one: ", line), line
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_behaviour_that_no_map_offers_is_an_error_where_it_was_asked_for_by_name(

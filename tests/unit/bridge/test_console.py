@@ -8,7 +8,7 @@ import pytest
 
 from bridge import console
 from bridge.config import ParameterRow, describe_config
-from bridge.console import Activity, duration, fail, print_json, say, table_lines, warn
+from bridge.console import Activity, duration, fail, print_table, say, table_lines, warn
 
 
 class Clock:
@@ -90,11 +90,6 @@ def test_message_is_one_bounded_line_whatever_a_file_says(tell, capsys: pytest.C
     assert len(line) <= 2000
 
 
-def test_json_has_an_object_a_row(capsys: pytest.CaptureFixture[str]) -> None:
-    print_json(("name", "n"), [("a", 1)])
-    assert capsys.readouterr().out == '[\n {\n  "name": "a",\n  "n": 1\n }\n]\n'
-
-
 @pytest.mark.parametrize(("seconds", "text"), [(59.4, "59 s"), (61, "1 min 01 s"), (3660, "1 h 01 min")])
 def test_durations(seconds: float, text: str) -> None:
     assert duration(seconds) == text
@@ -137,6 +132,15 @@ def test_no_value_is_cropped_and_no_line_is_too_long(
             assert shown(lines, str(cell)), cell
     if width is not None:
         assert max(map(len, lines)) <= width
+
+
+def test_table_on_a_terminal_is_as_wide_as_that(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(console.sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "60")
+    print_table("runs", BATCH, RUNS)
+    assert capsys.readouterr().out.splitlines()[1:] == table_lines(BATCH, RUNS, width=60)
 
 
 def test_numbers_are_aligned_right_and_words_left_and_a_pipe_gets_one_line_a_row() -> None:

@@ -27,11 +27,6 @@ def test_type_checkers_are_told_the_same_names_and_homes_and_an_unknown_name_is_
     assert told == bridge._HOMES
 
 
-def test_importing_the_package_loads_nothing_slow() -> None:
-    code = "import sys, bridge; sys.exit(any(name in sys.modules for name in ('numpy', 'pyarrow', 'libsumo')))"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 @pytest.mark.slow
 def test_types_are_seen_outside_the_checkout(tmp_path: Path) -> None:
     """A type checker follows the editable install: it reveals the type of a position and finds a mistake."""

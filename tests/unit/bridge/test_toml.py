@@ -21,12 +21,6 @@ class _Whole(BaseModel):
     part: list[_Part] = []
 
 
-def test_file_is_a_model(tmp_path: Path) -> None:
-    path = tmp_path / "a.toml"
-    path.write_text('name = "a"\n[[part]]\nshare = 0.5\n')
-    assert read_toml_as(_Whole, path, "a whole") == _Whole(name="a", part=[_Part(share=0.5)])
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -49,33 +49,17 @@ def test_saved_file_is_sorted_whatever_the_order_of_the_work(tmp_path: Path) -> 
     assert saved == [("a", 2, 1), ("a", 10, 1), ("b", 0, 2)]
 
 
-def test_line_that_was_cut_is_left_out(tmp_path: Path) -> None:
-    manifest = Manifest(tmp_path)
-    manifest.add(row("a"))
-    manifest.add(row("b"))
-    text = manifest.path.read_text()
-    for cut in (len(text) - 20, len(text) - 2):
-        manifest.path.write_text(text[:cut])
-        assert read_manifest(manifest.path) == ([row("a")], 1)
-
-
-def _flip(raw: bytes) -> bytes:
-    at = raw.index(b"scene-1")
-    return raw[:at] + b"scenf-1" + raw[at + 7 :]
-
-
-DAMAGES: dict[str, Callable[[bytes], bytes]] = {
-    "a byte of a name": _flip,
-    "bytes that are no text": lambda raw: raw.replace(b"scene-1", b"scene\xff1"),
-    "a quote that does not end": lambda raw: raw.replace(b"scene-1", b'"scene-1'),
-    "two lines in one": lambda raw: b"\n".join(raw.split(b"\n")[:3]) + b"".join(raw.split(b"\n")[3:5]) + b"\n",
-    "zeros": lambda raw: raw.replace(b"scene-1", b"\0" * 7),
-    "a long text": lambda raw: raw.replace(b"scene-1", b"x" * 300_000),
-    "another number of columns": lambda raw: raw.replace(b"scene-1,val", b"scene-1"),
-    "no header": lambda raw: raw[raw.index(b"\n") + 1 :],
-    "a header twice": lambda raw: raw[: raw.index(b"\n") + 1] + raw,
-    "something else": lambda raw: os.urandom(5000),
-    "nothing": lambda raw: b"",
+#: What happens to a manifest of five scenes, and which of them are lost.
+DAMAGES: dict[str, tuple[Callable[[bytes], bytes], set[int]]] = {
+    "a byte of a name": (lambda raw: raw.replace(b"scene-1", b"scenf-1"), {1}),
+    "bytes that are no text": (lambda raw: raw.replace(b"scene-1", b"scene\xff1"), {1}),
+    "a quote that does not end": (lambda raw: raw.replace(b"scene-1", b'"scene-1'), {1}),
+    "two lines in one": (lambda raw: raw.replace(b"\nscene-2", b"scene-2"), {1, 2}),
+    "zeros": (lambda raw: raw.replace(b"scene-1", b"\0" * 7), {1}),
+    "a long text": (lambda raw: raw.replace(b"scene-1", b"x" * 300_000), {1}),
+    "no header": (lambda raw: raw[raw.index(b"\n") + 1 :], set()),
+    "a header twice": (lambda raw: raw[: raw.index(b"\n") + 1] + raw, set()),
+    "cut": (lambda raw: raw[:-2], {4}),
 }
 
 
@@ -88,15 +72,11 @@ def test_damage_costs_the_lines_it_touches_and_makes_none_up(
     written = [row(f"scene-{number}", reason="a reason, with a comma") for number in range(5)]
     for one in written:
         manifest.add(one)
-    raw = manifest.path.read_bytes()
-    manifest.path.write_bytes(DAMAGES[name](raw))
+    change, lost = DAMAGES[name]
+    manifest.path.write_bytes(change(manifest.path.read_bytes()))
     read = Manifest(tmp_path).rows
-    assert set(read) <= set(written)
-    if name in ("a byte of a name", "bytes that are no text", "a quote that does not end", "zeros", "a long text"):
-        assert [one.scenario for one in read] == ["scene-0", "scene-2", "scene-3", "scene-4"]
-        assert "cannot be read: their scenes are made again" in caplog.text
-    if name in ("no header", "a header twice"):
-        assert read == written
+    assert read == [one for number, one in enumerate(written) if number not in lost]
+    assert not lost or "cannot be read: their scenes are made again" in caplog.text
     assert rows_of(manifest.path) == read
 
 

@@ -67,15 +67,11 @@ def craft(path: Path, files: dict[str, bytes], *, compression: int = zipfile.ZIP
 REQUESTS: dict[str, tuple[dict[str, Any], str]] = {
     "split upwards": ({"split": "../../outside"}, "split"),
     "scenario upwards": ({"scenario": "../../outside"}, "name '../../outside'"),
-    "scenario empty": ({"scenario": ""}, "name ''"),
     "scenario with a zero": ({"scenario": "a\0b"}, "name"),
     "another function": ({"function": "os:system"}, r"'os:system', which is none of hid2's: .* --function os:system"),
-    "a function that is no text": ({"function": ["os"]}, "function"),
     "a time-out of NaN": ({"timeout_s": float("nan")}, "timeout_s"),
-    "a time-out without end": ({"timeout_s": 1e300}, "timeout_s"),
     "a time-out of nothing": ({"timeout_s": -1}, "timeout_s"),
     "a variant below 0": ({"variant": -1}, "variant"),
-    "a configuration that is a list": ({"config": []}, "config: .* have \\[\\]"),
     "an unknown parameter": ({"config": {"no": 1}}, "unknown key 'no'"),
     "a parameter of NaN": ({"config": {"limits": {"min_radius_m": float("nan")}}}, "limits|JSON"),
     "another format": ({"format": 2}, "format"),
@@ -109,10 +105,6 @@ def _encrypted(path: Path) -> None:
     path.write_bytes(raw)
 
 
-def _bomb(path: Path) -> None:
-    craft(path, members() | {"scene/zeros": bytes(130_000_000)})
-
-
 def _twice(path: Path) -> None:
     craft(path, members())
     with pytest.warns(UserWarning, match="Duplicate name"), zipfile.ZipFile(path, "a") as archive:
@@ -120,7 +112,10 @@ def _twice(path: Path) -> None:
 
 
 ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a bomb": (_bomb, "unpacks to 130 MB, expected at most 128 MB"),
+    "a bomb": (
+        lambda p: craft(p, members() | {"scene/zeros": bytes(130_000_000)}),
+        "unpacks to 130 MB, expected at most 128 MB",
+    ),
     "a large request": (lambda p: craft(p, members() | {"request.json": bytes(2_000_000)}), "more than 1 MB"),
     "large details": (lambda p: craft(p, members() | {"details.txt": bytes(5_000_000)}), "more than 4 MB"),
     "a list without end": (lambda p: craft(p, members(left_out=["x"] * 60_000)), "at most 64 items"),

@@ -135,14 +135,6 @@ def test_before_holds_each_source_once_whether_it_is_measured_itself_or_not(meas
     assert found["density"]["tracks"]["before"] == {str(recorded): 2}
 
 
-def test_sums_by_source_are_in_the_order_of_their_names():
-    counts = [("b", 1, 4), ("a", 2, 5), ("b", 3, 6)]
-    sums = SourceSums([dict(zip(("log", *COLUMNS), row, strict=True)) for row in counts], names=COLUMNS)
-    hits, rows = sums.of_columns("hits", "rows")
-    assert hits.tolist() == [2.0, 4.0]
-    assert rows.tolist() == [5.0, 10.0]
-
-
 def test_bars_of_the_diversity_figure_agree_with_the_shares_above():
     """40 tracks are not more than 40: before, the bar ends at 40; after, 41 tracks are in the next."""
     found = Diversity([scene_row(41, 1)], [scene_row(41, 1)]).content()

@@ -103,17 +103,6 @@ def test_track_ids_of_hyphens_and_bounds_that_are_points_are_written(copy_scene:
     assert len({tuple(value.text for value in point) for point in right}) == 1
 
 
-def test_scenes_with_like_names_have_benchmark_ids_of_their_own(data_scenes: dict[str, Path]) -> None:
-    """The sum of a + 2 b is that of c + 2 a."""
-    scene = read_recording(data_scenes["curve"])
-    found = {
-        etree.fromstring(content).get("benchmarkID")
-        for name in ("ab", "ca")
-        for content in commonroad_files(replace(scene, scenario_id=name)).values()
-    }
-    assert len(found) == 2
-
-
 def test_a_lane_with_an_id_that_commonroad_has_not_is_refused(data_scenes: dict[str, Path]) -> None:
     """Its schema has positive ids, and commonroad-io reads no file with another one."""
     scene = read_recording(data_scenes["curve"])

@@ -84,6 +84,11 @@ def test_vehicles_are_placed_and_drive_as_far_as_their_speeds_say_within_the_lim
         assert np.abs(np.gradient(np.unwrap(track.heading), step_s)).max() <= LIMITS.yaw_rate_radps
 
 
+def test_judge_finds_nothing_wrong(made):
+    """No boxes that touch, at any step or between two, nothing off the ground, nothing met too soon."""
+    assert made.judge().empty
+
+
 def test_no_two_boxes_touch(made):
     """Generated with everybody, at every step."""
     everybody = [*made.source.tracks, *made.generated]

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page
-from matplotlib.figure import Figure
 from PIL import Image
 from viewed import differences
 from written import edit_rows, write_fake
@@ -107,18 +106,6 @@ def test_table_of_looks_that_is_none_is_one_line_that_names_it(generated: list[P
             scene_document(read_scenario(folder))
     table.unlink()
     assert scene_document(read_scenario(folder))["looks"] == {}
-
-
-def test_pictures_and_viewer_have_city_coordinates_and_the_same_colours(generated: list[Path]) -> None:
-    scenario = read_scenario(generated[0])
-    ax = Figure().subplots()
-    figures.frame(ax, np.array([1230.0, -640.0]), np.array([1280.0, -590.0]), aspect=1.0)
-    ax.figure.draw_without_rendering()
-    assert [text.get_text().replace("\u2212", "-") for text in ax.get_xticklabels()][1:3] == ["1240", "1250"]
-    assert "-620" in [text.get_text().replace("\u2212", "-") for text in ax.get_yticklabels()]
-    kinds = {track["kind"] for track in scene_document(scenario)["tracks"]}
-    assert kinds <= set(figures.FACES)
-    assert set(figures.kinds_in_words("recorded")) == set(figures.FACES)
 
 
 # --- what a browser makes of it ---------------------------------------------------------------------------------------
@@ -261,16 +248,6 @@ def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, tmp_path: Pa
     assert page.js("$('many').hidden") is True
     assert page.js("now.scene.findings.length") > 0
     assert page.errors == []
-
-
-def test_panel_tells_small_shares_and_which_gaps_are_which(opened: Page) -> None:
-    """A share of .035, and looks at gaps to vehicles that may not be exported beside gaps of those exported."""
-    assert "0.035" in opened.js("$('panel').textContent")
-    opened.js("const [id] = Object.keys(now.scene.looks); now.scene.record.get(id).policy = 'keep_right'; choose(id)")
-    opened.drawn()
-    assert "As simulated, to vehicles that were not exported as well" in opened.js("$('panel').textContent")
-    assert "(keep right)" in opened.js("$('panel').textContent")  # the policy of a user's own
-    assert opened.errors == []
 
 
 @pytest.mark.parametrize("width", WIDTHS)

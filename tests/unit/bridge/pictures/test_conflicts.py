@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from bridge.generation.scene import TrafficScene, read_scene
+from bridge.generation.scene import TrafficScene
 from bridge.pictures.render import draw_conflicts
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import BoxSize, Track
@@ -44,13 +44,6 @@ def test_only_those_of_one_track(scene):
     assert {(one.first_id, one.second_id) for one in found(scenario, *cars, agent="d")} == {("c", "d")}
     with pytest.raises(ConfigError, match="no track 'e'"):
         found(scenario, *cars, agent="e")
-
-
-def test_generated_vehicles_touch_nothing(made_scene):
-    """What the method promises, seen by the function that draws it."""
-    met = [one for one in read_scene(made_scene).conflicts(ttc_s=4.0) if "gen_" in one.first_id + one.second_id]
-    assert met
-    assert all(one.ttc_s is None or one.ttc_s > 0.0 for one in met)
 
 
 def test_each_conflict_is_a_mark_and_a_text(scene):

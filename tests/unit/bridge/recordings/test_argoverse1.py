@@ -3,28 +3,24 @@
 import csv
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
-from written import made_up_sidecar, write_scene
 
+from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.validation import validate_folder
-from bridge.config import new_scenario_id
-from bridge.recordings.argoverse1 import INSERTED, check_sequence, motion_of, sequence_bytes, write_sequence
+from bridge.config import load_config
+from bridge.recordings.argoverse1 import INSERTED, motion_of, sequence_bytes, write_sequence
 from bridge.recordings.folders import Choices, Source, sequence_path
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sidecar import AgentRecord, PlacedRecord, RequestedRecord, SpawnRecord
 from bridge.recordings.sources import _city_maps, described, find_recordings, find_sources, read_recording
-from hid2.agents import BoxSize, Policy, Track
-from hid2.params import Config
 from netconvert.av1_map import LANE_WIDTH_M, boundaries, cut_city, drivable_raster, read_city_lanes
 from netconvert.errors import ExportError, Hid2Error, MapError, NoSceneError, ScenarioError
-from netconvert.lane_graph import LaneSegment
 
 Change = Callable[[list[list[str]]], object]
 HEADER = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"]
@@ -209,10 +205,6 @@ def _one_of_agent_gone(rows: list[list[str]]) -> None:
     rows.remove(next(row for row in rows if row[2] == "AGENT"))
 
 
-def _no_agent(rows: list[list[str]]) -> None:
-    rows[:] = [row for row in rows if row[2] != "AGENT"]
-
-
 def _stretched(rows: list[list[str]]) -> None:
     first = min(float(row[0]) for row in rows[1:])
     for row in rows[1:]:
@@ -228,7 +220,6 @@ def _second_agent(rows: list[list[str]]) -> None:
 
 WRONG_SEQUENCES: dict[str, tuple[Change, str]] = {
     "forty-nine-steps": (_last_stamp_gone, "49 time stamps, expected 50"),
-    "no-agent": (_no_agent, "no tracks of OBJECT_TYPE AGENT"),
     "two-agents": (_second_agent, "2 tracks of OBJECT_TYPE AGENT"),
     "agent-with-a-gap": (_one_of_agent_gone, "AGENT at 49 of 50"),
     "duplicate-stamp": (lambda rows: rows.append(list(rows[1])), "more than one row"),
@@ -258,11 +249,6 @@ def test_a_wrong_sequence_is_refused_in_one_line(copy: Path, change: Change, sai
         sequence(copy)
     assert isinstance(caught.value, ScenarioError | MapError)
     assert "\n" not in str(caught.value)
-
-
-def test_an_empty_file_lacks_columns() -> None:
-    with pytest.raises(ScenarioError, match="n: columns '', expected TIMESTAMP"):
-        check_sequence(b"", "n")
 
 
 def _replace(name: str, old: str, new: str) -> Callable[[Path], None]:
@@ -355,73 +341,31 @@ def test_a_chosen_map_of_another_place_is_refused(argoverse1: Path, data_scenes:
 
 
 @pytest.fixture
-def scenario(argoverse1: Path) -> Recording:
-    return sequence(argoverse1, "test_obs/data/4.csv")
-
-
-def lonely_lane(scenario: Recording) -> LaneSegment:
-    """The lane of 15 m and more that is farthest from every track."""
-    places = np.concatenate([track.position for track in scenario.tracks])
-
-    def apart_m(lane: LaneSegment) -> float:
-        points = lane.path.point(np.linspace(0.0, lane.length_m, 20))
-        return float(np.hypot(*(points[:, None] - places).T).min())
-
-    return max((lane for lane in scenario.graph.lanes.values() if lane.length_m > 15.0), key=apart_m)
-
-
-def inserted(scenario: Recording) -> Track:
-    """It drives along a lane at 5 m/s, far from everybody."""
-    lane = lonely_lane(scenario)
-    s = 1.0 + 0.5 * np.arange(20)
-    heading = lane.path.heading(s)
-    velocity = 5.0 * np.column_stack([np.cos(heading), np.sin(heading)])
-    position = lane.path.point(s)
-    return Track("gen_0", "vehicle", 1, np.arange(20), position, heading, velocity, BoxSize(4.0, 1.8))
-
-
-@pytest.fixture
-def written(scenario: Recording, tmp_path: Path) -> Iterator[Path]:
+def written(argoverse1: Path, tmp_path: Path, here: None) -> Path:
     """A scene with one inserted vehicle and its sequence; the folder that they are in."""
-    config, track = Config(), inserted(scenario)
-    lane = lonely_lane(scenario)
-    agent = AgentRecord(
-        track_id="gen_0", length_m=4.0, width_m=1.8, policy=Policy.STRAIGHT, route=(lane.lane_id,),
-        spawn=SpawnRecord(lane_segment_id=lane.lane_id, cell=0, speed_mps=5.0),
-    )  # fmt: skip
-    sidecar = made_up_sidecar(
-        scenario,
-        config,
-        requested=RequestedRecord(agents=1, behaviours={}),
-        placed=PlacedRecord(agents=1, behaviours={Policy.STRAIGHT: 1}),
-        agents=(agent,),
-    )
-    new_id = new_scenario_id(scenario.scenario_id, config, 0, 0)
-    out = tmp_path / "out"
-    write_scene(scenario, [track], sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
-    write_sequence(scenario, [track], out, new_id=new_id)
-    return out
+    found = find_recordings([argoverse1 / "val/data/7.csv"])
+    run_batch(plan(found, load_config(flags={"request.agents": 1})), tmp_path / "out", Options(argoverse1=True))
+    return tmp_path / "out"
 
 
 def the_file(out: Path) -> Path:
-    (path,) = out.glob("argoverse1/test_obs/data/*.csv")
+    (path,) = out.glob("argoverse1/val/data/*.csv")
     return path
 
 
-def test_recorded_lines_stay_text_for_text_and_inserted_ones_come_behind_their_time(scenario: Recording) -> None:
-    assert scenario.sequence is not None
-    source = scenario.sequence.decode().splitlines()
-    track = inserted(scenario)
-    assert scenario.sequence is not None
-    lines = sequence_bytes(scenario.sequence, [(track.timesteps, track.position)]).decode().splitlines()
+def test_recorded_lines_stay_text_for_text_and_inserted_ones_come_behind_their_time(argoverse1: Path) -> None:
+    """A vehicle that drives 5 m/s along x from step 10 on."""
+    source = (argoverse1 / "val/data/7.csv").read_bytes()
+    steps = np.arange(10, 50)
+    position = np.column_stack([0.5 * steps, np.full(40, 0.1)])
+    lines = sequence_bytes(source, [(steps, position)]).decode().splitlines()
     mine = [line for line in lines if INSERTED in line]
-    assert [line for line in lines if INSERTED not in line] == source
-    assert len(mine) == 20
+    assert [line for line in lines if INSERTED not in line] == source.decode().splitlines()
+    assert len(mine) == 40
     assert {line.split(",")[2] for line in mine} == {"OTHERS"}
     stamps = [float(line.split(",")[0]) for line in lines[1:]]
     assert stamps == sorted(stamps)
-    x, y = inserted(scenario).position[3]
-    assert (float(mine[3].split(",")[3]), float(mine[3].split(",")[4])) == (x, y)
+    assert [float(value) for value in mine[3].split(",")[3:5]] == [6.5, 0.1]
 
 
 def test_the_files_number_is_that_of_the_scenes_id(tmp_path: Path) -> None:
@@ -432,8 +376,8 @@ def test_the_files_number_is_that_of_the_scenes_id(tmp_path: Path) -> None:
     assert sequence_path(tmp_path, None, "0" * 36).parent == tmp_path / "argoverse1" / "data"
 
 
-def test_what_is_no_sequence_is_not_written_as_one(scenario: Recording, tmp_path: Path) -> None:
-    lacking = replace(scenario, sequence=None)
+def test_what_is_no_sequence_is_not_written_as_one(argoverse1: Path, tmp_path: Path) -> None:
+    lacking = replace(sequence(argoverse1), sequence=None)
     with pytest.raises(ExportError, match="no Argoverse 1 sequence"):
         write_sequence(lacking, [], tmp_path, new_id="0" * 36)
     assert list(tmp_path.iterdir()) == []
@@ -448,7 +392,7 @@ def test_scene_and_sequence_are_valid_and_the_loader_of_argoverse_1_would_read_i
         assert int(path.stem) > 0
         rows = list(csv.DictReader(path.read_text().splitlines()))
         agent = np.array([(float(row["X"]), float(row["Y"])) for row in rows if row["OBJECT_TYPE"] == "AGENT"])
-        assert agent.shape == (20, 2)
+        assert agent.shape == (50, 2)
 
 
 def _first(text: str, old: str, new: str) -> str:
@@ -462,7 +406,7 @@ def _first(text: str, old: str, new: str) -> str:
         (lambda text: text.replace(f"{INSERTED}{0:012d}", f"{INSERTED}{7:012d}"), "sequence", "line .* is not as"),
         (lambda text: _first(text, "AGENT", "OTHERS"), "sequence", "and .*expected one"),
         (lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "sequence|source", "is not as|recorded line"),
-        (lambda text: _first(text, ",MIA\n", ",PIT\n"), "sequence", "CITY_NAME"),
+        (lambda text: _first(text, ",PIT\n", ",MIA\n"), "sequence", "CITY_NAME"),
         (lambda text: _first(text, ".", ".0"), "source|sequence", "recorded line 2|time stamps"),
         (lambda text: "", "sequence", "columns"),
     ],

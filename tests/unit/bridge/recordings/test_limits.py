@@ -175,16 +175,3 @@ def test_parquet_is_refused(copy_scene: Callable[..., Path], change: Callable[[p
     (path,) = folder.glob("*.parquet")
     pq.write_table(change(pq.read_table(path)), path)
     refused(folder, said)
-
-
-def test_a_real_scene_is_far_below_every_limit(real_scenes: list[Path]) -> None:
-    """A tenth of what is allowed, or less."""
-    scenario = read_scenario(real_scenes[0])
-    lanes = scenario.graph.lanes.values()
-    extent = np.ptp(np.concatenate([lane.centerline for lane in lanes]), axis=0).max()
-    assert 10 * extent < limits.MAX_EXTENT_M
-    assert 5 * len(lanes) < limits.MAX_LANES
-    assert 5 * len(scenario.tracks) < limits.MAX_TRACKS
-    assert 5 * sum(lane.length_m for lane in lanes) < limits.MAX_LANES_M
-    assert 10 * scenario.table.num_rows < limits.MAX_ROWS
-    assert max(path.stat().st_size for path in real_scenes[0].iterdir()) * 5 < MAX_FILE_MB * 1e6

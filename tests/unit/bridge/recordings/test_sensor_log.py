@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from pyarrow import feather
 from recordings import LOG_ID, make_log, write_feather
-from written import edit_json, in_first_lane
+from written import edit_json
 
 from bridge.recordings.folders import Choices, Source
 from bridge.recordings.recording import Recording, velocity_of
@@ -160,13 +160,7 @@ WRONG: dict[str, tuple[Change, str]] = {
         _table(ANNOTATIONS, lambda frame: frame.replace({"track_uuid": {frame.track_uuid.iloc[0]: "AV"}})),
         "a box of track 'AV'",
     ),
-    "map-not-json": (lambda log: (log / MAP).write_text("{"), "not JSON"),
     "map-without-lanes": (_map(lambda document: document.pop("lane_segments")), "no object 'lane_segments'"),
-    "boundary-of-one-point": (
-        _map(in_first_lane(lambda lane: lane.update(left_lane_boundary=[{"x": 0.0, "y": 0.0, "z": 0.0}]))),
-        "left_lane_boundary: 1 points, expected at least 2 points",
-    ),
-    "lane-type": (_map(in_first_lane(lambda lane: lane.update(lane_type="TRAM"))), "TRAM"),
     "no-drivable-area": (_map(lambda document: document.update(drivable_areas={})), "no drivable area"),
 }
 

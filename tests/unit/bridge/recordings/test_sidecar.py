@@ -44,10 +44,3 @@ def test_a_field_that_is_wrong_is_named(
     with pytest.raises(ScenarioError, match=said) as caught:
         read_sidecar(path)
     assert "hid2_x.json" in str(caught.value)
-
-
-@pytest.mark.parametrize("raw", [b"{", b"[]", b"\xff"])
-def test_a_file_that_is_no_sidecar_is_said(tmp_path: Path, raw: bytes) -> None:
-    (tmp_path / "hid2_x.json").write_bytes(raw)
-    with pytest.raises(ScenarioError, match=r"hid2_x\.json"):
-        read_sidecar(tmp_path / "hid2_x.json")

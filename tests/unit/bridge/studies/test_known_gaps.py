@@ -125,10 +125,14 @@ def test_even_flow_by_hand(corridor: Path, rules: str, lag_s: float) -> None:
     assert 0.02 < expected < 0.6
 
 
-def _gaps(corridor: Path, change: LaneChange, seeds: range) -> pd.DataFrame:
-    """The table of gaps of drivers that differ, in random traffic."""
+@pytest.mark.slow
+def test_lognormal_critical_gaps_are_found_again(corridor: Path, rules: str) -> None:
+    """Of drivers that differ, in random traffic."""
+    change = LaneChange(
+        rule=f"{rules}:lognormal", rule_with="mean=1.0, sd=0.25", give_up_s=18.0, safety="rule", min_remaining_m=0.0
+    )
     looks: list[dict[str, Any]] = []
-    for seed in seeds:
+    for seed in range(8):
         config = _config(
             seed, changing=0.5, flow=Flow(veh_per_h_lane=1100.0, min_headway_s=1.2, warm_up_s=0.0), change=change,
             trigger_s=(2.0, 2.0), drivers=Drivers(),
@@ -136,26 +140,7 @@ def _gaps(corridor: Path, change: LaneChange, seeds: range) -> pd.DataFrame:
         _, run = _run(corridor, config)
         same = {"scene": "a", "city": "x", "point": 0, "seed": seed, "replay": "fixed"}
         looks += [same | row for row in gap_rows([(0, vehicle) for vehicle in run.driven], {}, step_s=0.1)]
-    return gaps_of(pd.DataFrame(looks), [])
-
-
-def _known(rules: str, rule: str, arguments: str) -> LaneChange:
-    return LaneChange(rule=f"{rules}:{rule}", rule_with=arguments, give_up_s=18.0, safety="rule", min_remaining_m=0.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("critical_s", [0.6, 1.0, 1.4, 1.8])
-def test_fixed_critical_gaps_are_found_again(corridor: Path, rules: str, critical_s: float) -> None:
-    found = critical_gap(_gaps(corridor, _known(rules, "two_sided", f"b={critical_s}"), range(5)), "lag")
-    assert found is not None
-    assert found["drivers"] >= 100
-    assert found["inconsistent"] == 0
-    assert found["mean_s"] == pytest.approx(critical_s, abs=0.1)
-
-
-@pytest.mark.slow
-def test_lognormal_critical_gaps_are_found_again(corridor: Path, rules: str) -> None:
-    found = critical_gap(_gaps(corridor, _known(rules, "lognormal", "mean=1.0, sd=0.25"), range(8)), "lag")
+    found = critical_gap(gaps_of(pd.DataFrame(looks), []), "lag")
     assert found is not None
     assert found["drivers"] >= 200
     assert found["mean_s"] == pytest.approx(1.0, rel=0.05)

@@ -101,14 +101,8 @@ def test_corridor_can_be_read_and_is_what_was_asked_for_unless_it_is_out_of_rang
     assert scenario.graph.may_change(1, "left")
     assert not scenario.graph.may_change(1, "right")
     assert all(track.path_m == 0.0 for track in scenario.tracks)
-    wrong = (
-        (300.0, 1, 20.0, "--lanes 1: expected 2 to 8"),
-        (20.0, 2, 20.0, "--length 20"),
-        (300.0, 2, 2.0, "--seconds 2"),
-    )
-    for length_m, lanes, seconds, words in wrong:
-        with pytest.raises(ConfigError, match=words):
-            write_corridor(tmp_path, length_m=length_m, lanes=lanes, seconds=seconds)
+    with pytest.raises(ConfigError, match="--seconds 2"):
+        write_corridor(tmp_path, length_m=300.0, lanes=2, seconds=2.0)
     assert not list(tmp_path.iterdir())
 
 

@@ -149,21 +149,6 @@ def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -
     assert "- Lane 1 of I-80 " in text("public.md.j2", page=ngsim, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
 
 
-def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
-    """Gaps of 10 ms to 9 s, taken whatever was rejected below: a fit without a bound. Of lead gaps there are none."""
-    wide = [(0.9 * taken, taken) for taken in (0.01, 0.02, 0.05, 0.3, 1.0, 3.0, 6.0, 9.0)]
-    counts = GAPS.replace("5, 15, 0", "0, 0, 0") + "critical_lag_gap_sd_s = 0.2\n"
-    run = run_of([1, 1, 1], [1, 1, 1], lag=wide, start_to_end=[[1, 0, 0], [0, 1, 0], [0, 1, 0]])
-    page = read_public(page_in(tmp_path, counts=counts, page=UNTUNED_PAGE))
-    one = RoadResult(page.road[0], "LC2013", "as set", {}, [run])
-    lists: dict[str, Any] = {"tried": [], "best": {}, "causes": [], "within": WITHIN}
-    told = text("public.md.j2", page=page, tests=[one], cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
-    assert "not told by these gaps: critical_lag_gap_mean_s, critical_lag_gap_sd_s." in told
-    assert "| gaps taken below 10 s, lag and lead, all runs | - | 8 and 0 |" in told
-    assert "| 3, published | 0.00 | 0.00 | 0.00 |" in told  # none, as published
-    assert "than they took, lag and lead, all runs | - | 3 and 0 |" in told
-
-
 def test_pages_of_the_project_are_read_and_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
     page, *others = (read_public(ROOT / "data" / "public" / f"{name}.toml") for name in ("ngsim", "knoop", "gaps"))
     assert [one.rule[2].name for one in (page, *others)] == ["paper"] * 3

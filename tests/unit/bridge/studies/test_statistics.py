@@ -234,17 +234,6 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
     assert found["rows"].tolist() == [2, 3, 5, 5, 5]
 
 
-def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
-    rows = [
-        {"outcome": "lateral_s", "value": value, "rows": 9, "estimate": value, "difference": value,
-         "difference_low_runs": 1.3e-15 * value, "difference_high_runs": 0.04 * value}
-        for value in (0.0, 1.0)
-    ]  # fmt: skip
-    ((outcome, told),) = _told(pd.DataFrame(rows))["outcomes"]
-    line = macros("study_lines.md.j2").outcome(outcome, told, "a parameter")
-    assert "95 % interval +0 to +0.04 (runs), which includes no effect" in line
-
-
 def test_a_parameter_of_many_values_is_told_in_six_classes_as_large() -> None:
     """Of 0, 1, ..., 23 the first class has 0 to 3, mean 1.5; twelve values stand for themselves, and so do names."""
     told = _classes(pd.Series([float(value) for value in range(24)] * 2))

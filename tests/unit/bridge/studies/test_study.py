@@ -15,7 +15,6 @@ from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.page import write_results
 from bridge.studies.study import LOOKS_FILE, RUN_FILE, RUN_TABLES, read_study, tables, write_run
-from hid2.reasons import Reason
 from netconvert.errors import BatchError, ConfigError
 
 ROOT = Path(__file__).parents[4]
@@ -116,10 +115,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('[vary]\ntrigger_s = [1.0]\n[config.request]\nagents = "max"\n', "expected a number of vehicles"),
         ("[vary]\ntrigger_s = [1.0]\n[config.request]\nentering = 0.5\n", "in studies vehicles enter by flow"),
         ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds = 0, expected "),
-        ("seeds = true\n[vary]\ntrigger_s = [1.0]\n", "seeds"),
         ('[vary]\n"rule.b" = [nan, 1.0]\n', "vary.rule.b"),
-        ("[vary]\n", "vary"),
-        ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "unknown key 'colour'; expected scenes, can, "),
         ('design = "latin_hypercube"\n[vary]\ntrigger_s = [1.0, 2.0]\n', "samples = 0"),
         ('design = "latin_hypercube"\nsamples = 3\n[vary]\ntrigger_s = [2.0, 1.0]\n', "low < high"),
         ("seeds = [0, 1, 0]\n[vary]\ntrigger_s = [1.0]\n", "[0, 1, 0]: 0 is there 2 times, expected each value once"),
@@ -132,7 +128,6 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ("[vary]\nlane_change.give_up_s = [1.0]\n", 'has to be in quotes, as "lane_change.give_up_s" = [...]'),
         ("[vary]\ntrigger_s = []\n", "vary.trigger_s = [], expected at least 1 value"),
         ("seeds = []\n[vary]\ntrigger_s = [1.0]\n", "seeds = [], expected at least 1 value"),
-        ("[vary\n", "not TOML"),
     ],
 )
 def test_wrong_study_is_named(tmp_path: Path, data_root: Path, text: str, words: str) -> None:
@@ -145,8 +140,6 @@ def test_wrong_study_is_named(tmp_path: Path, data_root: Path, text: str, words:
 def test_scenes_may_be_given_beside_the_file(tmp_path: Path, data_root: Path) -> None:
     (tmp_path / "s.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
     assert len(read_study(tmp_path / "s.toml", scenes=[data_root]).folders) == 3
-    with pytest.raises(ConfigError, match=r"s\.toml: no key 'scenes', expected folders .*: add it, or give --scenes"):
-        read_study(tmp_path / "s.toml")
 
 
 @pytest.mark.parametrize("name", ["corridor_lag_gap", "corridor_mobil", "corridor_lc2013"])
@@ -155,17 +148,6 @@ def test_studies_on_the_corridor_can_be_read(tmp_path: Path, name: str) -> None:
     study = read_study(ROOT / "data" / "studies" / f"{name}.toml", scenes=[tmp_path])
     assert len(study.points) == 5
     assert study.configs[0][0].flow.veh_per_h_lane == 1500.0
-
-
-def test_without_reseeding_each_request_is_tried_once(data_scenes: dict[str, Path]) -> None:
-    """As the studies in data/studies ask for: manoeuvres are begun, and what failed is not tried elsewhere."""
-    settings = ["spawn.reseed_rounds=0", "request.agents=6", "request.straight=0", "request.left_turn=0"]
-    settings += ["request.right_turn=0", "request.overtake=0", "request.lane_change=1"]
-    scene = generate(read_scenario(data_scenes["arterial"]), load_config(None, settings))
-    records = [record for agent in scene.sidecar.agents for record in agent.maneuvers]
-    assert len(records) == 6
-    assert sum(record.status == "done" for record in records) >= 3
-    assert not any(vehicle.reason == Reason.DID_NOT_DO_IT for vehicle in scene.sidecar.replaced)
 
 
 def test_a_request_has_one_record_though_its_vehicle_is_driven_again(data_scenes: dict[str, Path]) -> None:

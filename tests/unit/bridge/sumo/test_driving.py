@@ -111,17 +111,6 @@ def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_s
 # Whom SUMO sees -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["bus", "motorcyclist"])
-def test_slower_leaders_of_all_kinds_are_followed(kind: str) -> None:
-    """45 m ahead at 4 m/s: it slows to about 4 m/s and keeps behind."""
-    size = {"bus": BoxSize(11.0, 2.8), "motorcyclist": BoxSize(2.2, 0.9)}[kind]
-    leader = recorded(85.0, 0.0, 4.0, kind=kind, size=size)
-    scene = scene_on(draw_two_lanes(), leader)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
-    assert _gaps(one, leader).min() > 1.0
-    assert np.mean(one.v[-10:]) < 5.5
-
-
 def test_agents_that_are_not_shown_need_not_be_there() -> None:
     """All recorded agents in SUMO, or only those that have to be shown: the same motion, to the last bit.
 

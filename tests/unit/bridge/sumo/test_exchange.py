@@ -201,30 +201,6 @@ def test_an_id_that_sumo_refuses_is_refused_by_name(data_scenes: dict[str, Path]
         sumo_files(replace(scenario, tracks=tracks))
 
 
-def test_agents_off_every_lane_have_none(data_scenes: dict[str, Path]) -> None:
-    """A lane is told within 2 m of a front bumper, or below the centre of an agent that moves along it, which may be
-    half a bus behind the front; some stand on the pavement.
-    """
-    scenario = read_scenario(data_scenes["intersection"])
-    files = sumo_files(scenario)
-    names = {name.removeprefix(scenario.scenario_id) for name in files if "_scene" not in name}
-    assert names == {".net.xml", ".poly.xml", ".view.xml", ".cells.csv", ".fcd.xml"}, "it has no routes and all else"
-    lanes = {}
-    for lane in etree.fromstring(files[f"{scenario.scenario_id}.net.xml"]).iter("lane"):
-        points = [tuple(map(float, xy.split(","))) for xy in lane.get("shape").split()]
-        lanes[lane.get("id")] = shapely.LineString(points)
-    told = {True: 0, False: 0}
-    for vehicle in etree.fromstring(files[f"{scenario.scenario_id}.fcd.xml"]).iter("vehicle"):
-        front, lane = shapely.Point(float(vehicle.get("x")), float(vehicle.get("y"))), vehicle.get("lane")
-        told[lane is not None] += 1
-        assert (lane is None) == (vehicle.get("pos") is None)
-        if lane is None:
-            assert min(front.distance(line) for line in lanes.values()) > 1.9
-        else:
-            assert front.distance(lanes[lane]) < 8.0
-    assert min(told.values()) > 0
-
-
 def test_the_net_lies_on_a_map(written: Path, made_scene: Path) -> None:
     """netOffset takes the origin of the city off: UTM minus the offset is the city frame."""
     location = _read(written, ".net.xml").find("location")

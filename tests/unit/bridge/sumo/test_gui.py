@@ -71,23 +71,17 @@ def test_sumo_plays_a_generated_scene_from_files_as_the_fcd_file_beside_says(pla
     check(playable, tmp_path / "fcd.xml", has_gaps=False)
 
 
-def check_real(scene, out):
-    """Nor does a lane of a trace join junctions in one place: netedit saves no such net at once."""
-    config = exported(scene, out / scene.name)
-    check(config, out / f"{scene.name}.xml", has_gaps=True)
+@pytest.mark.parametrize("real_scene", ["0a1e6f0a-1817-4a98-b02e-db8c9327d151"], indirect=True)
+def test_sumo_plays_a_real_scene_from_files_as_the_fcd_file_beside_says(real_scene, tmp_path):
+    """Cars cannot enter on the first edge of this map's net, in the order of its names: a bicycle lane.
+
+    Nor does a lane of a trace join junctions in one place: netedit saves no such net at once.
+    """
+    config = exported(real_scene, tmp_path / "play")
+    check(config, tmp_path / "fcd.xml", has_gaps=True)
     net = etree.parse(config.with_suffix(".net.xml")).getroot()
     place = {each.get("id"): (float(each.get("x")), float(each.get("y"))) for each in net.iterfind("junction")}
     assert min(math.dist(place[edge.get("from")], place[edge.get("to")]) for edge in net.iterfind("edge")) >= 0.049
-
-
-def test_sumo_plays_a_real_scene_from_files_as_the_fcd_file_beside_says(real_scenes, tmp_path):
-    check_real(real_scenes[0], tmp_path)
-
-
-@pytest.mark.slow
-def test_sumo_plays_all_real_scenes(real_scenes, tmp_path):
-    for scene in real_scenes:
-        check_real(scene, tmp_path)
 
 
 def test_a_gap_in_a_track_is_driven_through_evenly(copy_scene, tmp_path):
@@ -199,30 +193,6 @@ def test_a_sumo_gui_that_dies_or_draws_nothing_is_told_beside_an_older_picture(
     with pytest.raises(error, match=said):
         play_scene(data_scenes["curve"], screenshot=picture)
     assert picture.read_bytes() == b"older"
-
-
-@pytest.mark.parametrize("real_scene", ["0a1e6f0a-1817-4a98-b02e-db8c9327d151"], indirect=True)
-def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_path, screen):
-    """Cars cannot enter on the first edge of this map's net, in the order of its names."""
-    picture = tmp_path / "gui.png"
-    played(real_scene, picture, screen, 49)
-    assert colored(picture, LANE_GREY) > 2000
-
-
-@pytest.mark.parametrize("waits", [pytest.param(True, marks=pytest.mark.slow), False])
-def test_sumo_gui_waits_for_its_user_and_would_else_play_to_the_end(playable, screen, waits):
-    """It is to quit at the end: after 20 s it has not, unless the places where it waits are taken out."""
-    command = [BIN / "sumo-gui", "-c", playable, "--quit-on-end", "--delay", "0"]
-    command += [] if waits else ["--breakpoints", "1e6"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(command, env=screen, **quiet) as it:
-        try:
-            it.wait(20 if waits else 120)
-            assert not waits
-        except subprocess.TimeoutExpired:
-            assert waits
-        finally:
-            it.kill()
 
 
 @pytest.mark.parametrize("closes", ["the window", "the command"])

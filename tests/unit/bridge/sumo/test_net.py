@@ -42,13 +42,6 @@ def test_a_map_that_cannot_be_read_leaves_nothing_behind(copy_scene: Callable[..
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_without_map_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(MapError, match=r"no log_map_archive_<id>\.json in .*; expected exactly one"):
-        convert(tmp_path, tmp_path / "out")
-    with pytest.raises(MapError, match="no such file or folder, expected a scene or log_map"):
-        convert(tmp_path / "missing", tmp_path / "out")
-
-
 def test_where_a_folder_or_a_file_is_in_the_way_nothing_is_written(
     data_scenes: dict[str, Path], tmp_path: Path
 ) -> None:

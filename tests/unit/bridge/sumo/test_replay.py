@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +15,9 @@ STEPS = 40
 
 
 @pytest.fixture(scope="module")
-def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def net() -> bytes:
     """One lane of 100 m along +x."""
-    lane = draw_lane(1, [(0.0, 0.0), (100.0, 0.0)])
-    path = tmp_path_factory.mktemp("net") / "road.net.xml"
-    path.write_bytes(net_bytes(build_cell_grid(LaneGraph({1: lane}))))
-    return path
+    return net_bytes(build_cell_grid(LaneGraph({1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)])})))
 
 
 def _traffic() -> Traffic:
@@ -48,8 +44,8 @@ def _traffic() -> Traffic:
     )
 
 
-def _run(net: Path, traffic: Traffic) -> Replay:
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as simulation:
+def _run(net: bytes, traffic: Traffic) -> Replay:
+    with Simulation(net, seed=0, step_s=0.1) as simulation:
         replay = Replay(simulation, traffic, step_s=0.1)
         for step in range(STEPS):
             replay.place(step, {})
@@ -59,7 +55,7 @@ def _run(net: Path, traffic: Traffic) -> Replay:
 
 
 def test_every_state_is_replayed_exactly_and_nobody_is_lost_who_comes_late_leaves_early_or_comes_back(
-    net: Path,
+    net: bytes,
 ) -> None:
     """Present in steps 0-4 and 10-14; another only in the last step: 11 states, each exact."""
     replay = _run(net, _traffic())
@@ -73,9 +69,9 @@ def test_every_state_is_replayed_exactly_and_nobody_is_lost_who_comes_late_leave
     assert replay.errors.max_position_error_m < 1e-6
 
 
-def test_deviation_is_measured(net: Path) -> None:
+def test_deviation_is_measured(net: bytes) -> None:
     """The check itself: states that were moved by 0.25 m behind its back are told as such."""
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as simulation:
+    with Simulation(net, seed=0, step_s=0.1) as simulation:
         replay = Replay(simulation, _traffic(), step_s=0.1)
         replay.place(0, {})
         simulation.place_all([("r3", 70.0 + 5.5 + 0.25, 0.4, 90.0, None)])
@@ -84,11 +80,11 @@ def test_deviation_is_measured(net: Path) -> None:
     assert replay.errors.max_position_error_m == pytest.approx(0.25)
 
 
-def test_speed_of_a_leader_is_known_from_the_first_step_on(net: Path) -> None:
+def test_speed_of_a_leader_is_known_from_the_first_step_on(net: bytes) -> None:
     """Warmed up two steps back, an agent that drives 9 m/s has that speed in SUMO at step 0, not 0."""
     moving = _traffic().rows([0])
     moving.velocity[..., 0] = 9.0
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as sumo:
+    with Simulation(net, seed=0, step_s=0.1) as sumo:
         replay = Replay(sumo, moving, step_s=0.1)
         for back in (2, 1):
             replay.warm_up(back)

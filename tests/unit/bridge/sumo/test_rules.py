@@ -24,7 +24,7 @@ def change(rule: str, leader_mps: float | None) -> DrivenVehicle:
     return vehicle
 
 
-@pytest.mark.parametrize(("rule", "leader_mps"), [("paper", 4.0), ("MOBIL", None), ("MOBIL", 4.0)])
+@pytest.mark.parametrize(("rule", "leader_mps"), [("MOBIL", None), ("MOBIL", 4.0)])
 def test_paper_and_mobil_change_at_the_trigger_with_and_without_a_slow_leader(
     rule: str, leader_mps: float | None
 ) -> None:

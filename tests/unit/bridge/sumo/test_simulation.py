@@ -1,6 +1,5 @@
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hand_drawn import draw_two_lanes
@@ -19,15 +18,13 @@ DRIVER = replace(usual_driver(12.0), accel_mps2=1.8, decel_mps2=2.5, tau_s=1.6, 
 
 
 @pytest.fixture(scope="module")
-def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("net") / "road.net.xml"
-    path.write_bytes(net_bytes(build_cell_grid(draw_two_lanes(100.0))))
-    return path
+def net() -> bytes:
+    return net_bytes(build_cell_grid(draw_two_lanes(100.0)))
 
 
 @pytest.fixture
-def sumo(net: Path) -> Iterator[Simulation]:
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as simulation:
+def sumo(net: bytes) -> Iterator[Simulation]:
+    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as simulation:
         yield simulation
 
 
@@ -45,23 +42,23 @@ def _place(sumo: Simulation, x: float, y: float, angle_deg: float) -> None:
     sumo.place_all([("r0", x, y, angle_deg, ("", -1))])
 
 
-def test_second_simulation_in_one_process_is_refused(sumo: Simulation, net: Path) -> None:
-    with pytest.raises(SimulationError, match="already running"), Simulation(net.read_bytes(), seed=0, step_s=0.1):
+def test_second_simulation_in_one_process_is_refused(sumo: Simulation, net: bytes) -> None:
+    with pytest.raises(SimulationError, match="already running"), Simulation(net, seed=0, step_s=0.1):
         pass
     sumo.step()  # the first one is unharmed
 
 
-def test_simulation_is_closed_behind_an_error_and_a_net_that_sumo_refuses(net: Path) -> None:
+def test_simulation_is_closed_behind_an_error_and_a_net_that_sumo_refuses(net: bytes) -> None:
     broken = b"<net version='1.20'><edge/></net>"
     with pytest.raises(SimulationError, match="SUMO does not load the net"), Simulation(broken, seed=0, step_s=0.1):
         pass
-    with pytest.raises(RuntimeError, match="mine"), Simulation(net.read_bytes(), seed=0, step_s=0.1):
+    with pytest.raises(RuntimeError, match="mine"), Simulation(net, seed=0, step_s=0.1):
         raise RuntimeError("mine")
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as again:
+    with Simulation(net, seed=0, step_s=0.1) as again:
         again.step()
 
 
-def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
+def test_rewound_simulation_is_as_good_as_a_fresh_one(net: bytes) -> None:
     """A car follows a replayed one that brakes: the same in a simulation of its own and behind something else."""
 
     def drive(sumo: Simulation) -> list[float]:
@@ -75,9 +72,9 @@ def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
             speeds.append(sumo.speed("v1"))
         return speeds
 
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as fresh:
+    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as fresh:
         wanted = drive(fresh)
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as sumo:
+    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as sumo:
         sumo.rewind()
         assert _insert(sumo, "v1", 60.0, 3.0) is None
         for _ in range(30):
@@ -160,11 +157,11 @@ def test_unsafe_lane_change_is_refused(sumo: Simulation) -> None:
     assert sumo.lane("v1")[0].endswith("_0")
 
 
-def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_for(net: Path) -> None:
+def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_for(net: bytes) -> None:
     """Krauss: gap_min + v tau + v^2 / 2b - v^2 / 2b_leader. At 5 m/s, tau 1, gap_min 1.5 and b 2.5: 6.5 m behind one
     that would brake alike, and 25 / 5 - 25 / 9 = 2.2 m more behind one that SUMO expects to brake with 4.5 m/s2.
     """
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as sumo:
+    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as sumo:
         sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
         for step in range(120):
             front = 30.0 + 0.5 * step
