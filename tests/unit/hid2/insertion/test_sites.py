@@ -14,6 +14,7 @@ from scipy.stats import chisquare
 from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.insertion.rollout import World
+from hid2.insertion.sites import InsertionSites
 from hid2.insertion.situations import Situation
 from hid2.insertion.starts import Site, speed_behind
 from hid2.insertion.surroundings import Surroundings
@@ -37,14 +38,14 @@ def scene_of(*tracks: Track, sites: str = "promising", lanes: int = 2, length_m:
     return scene_on(draw_road(lanes=lanes, length_m=length_m), *tracks, config=config)
 
 
-def _left_turn_scene(at_m: float) -> Scene:
-    """One lane that turns to the left at so many metres, and no recorded vehicle."""
+def _left_turn_scene(at_m: float, on_m: float = 185.0) -> Scene:
+    """One lane that turns to the left at so many metres and goes on for on_m, and no recorded vehicle."""
     bend = [(at_m + 15.0 * np.sin(a), 15.0 - 15.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 12)]
-    return scene_on(graph_of(
+    lanes = [
         draw_lane(1, [(0.0, 0.0), (at_m, 0.0)], successors=(2,)),
         draw_lane(2, bend, successors=(3,), is_intersection=True),
-        draw_lane(3, [bend[-1], (at_m + 15.0, 200.0)]),
-    ))  # fmt: skip
+    ]
+    return scene_on(graph_of(*lanes, *[draw_lane(3, [bend[-1], (at_m + 15.0, 15.0 + on_m)])] * (on_m > 0.0)))
 
 
 def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
@@ -173,6 +174,34 @@ def test_without_collision_checks_no_start_asks_where_others_have_been() -> None
     sites = sites_of(scene_on(draw_road(lanes=1, length_m=ROAD_M), recorded(107.0, 0.0, 14.0), config=config))
     start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 100.0), driver=DRIVER)
     assert isinstance(start, Start), start
+
+
+@pytest.mark.parametrize(
+    ("on_m", "is_offered", "is_made"), [(0.0, False, False), (2.0, True, False), (40.0, True, True)]
+)
+def test_turn_is_done_where_the_map_goes_on_behind_it(on_m: float, is_offered: bool, is_made: bool) -> None:
+    """None is seen where the map ends with it, or so near that the front is there while the middle is in the turn."""
+    sites = sites_of(_left_turn_scene(60.0, on_m))
+    routes = sites.here.routes
+    assert routes.map_offers(Policy.LEFT_TURN) is is_offered
+    made = sites.starts.make(_request(0, Policy.LEFT_TURN), Site(routes.offers(1)[0], 20.0), driver=DRIVER)
+    assert isinstance(made, Start) if is_made else made is Reason.SCENE_ENDED
+
+
+@pytest.mark.parametrize(("policy", "times"), [(Policy.LANE_CHANGE, 4), (Policy.STRAIGHT, 2)])
+def test_cells_for_a_manoeuvre_are_gone_through_again(
+    monkeypatch: pytest.MonkeyPatch, policy: Policy, times: int
+) -> None:
+    """Strict sites and others: by what goes straight once, for a lane change twice."""
+    looked: list[Policy] = []
+
+    def places(_: InsertionSites, request: VehicleRequest, wants: object) -> Any:
+        looked.append(request.policy)
+        return iter(())
+
+    monkeypatch.setattr(InsertionSites, "_places", places)
+    assert sites_of(scene_of()).propose(_request(0, policy, 1.0)) == []
+    assert looked == [policy] * times
 
 
 @pytest.mark.parametrize(("red", "reason"), [(True, Reason.WAITS_AT_LINE), (False, Reason.SCENE_ENDED)])
