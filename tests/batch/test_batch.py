@@ -182,19 +182,6 @@ def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set:
     assert again.failure == "exception"
 
 
-def test_pipes_and_folders_in_the_place_of_files_do_not_hold_a_batch_up(
-    make_data_set: MakeDataSet, tmp_path: Path
-) -> None:
-    folders = make_data_set(3)
-    for folder, pattern, make in ((folders[0], "*.parquet", os.mkfifo), (folders[1], "*.json", os.mkdir)):
-        (path,) = folder.glob(pattern)
-        path.unlink()
-        make(path)
-    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(function=COPIES, timeout_s=30))
-    assert statuses(rows) == {"scene-000": "error", "scene-001": "error", "scene-002": DONE}
-    assert all("not a regular file" in row.reason for row in rows[:2])
-
-
 def test_lock_that_is_a_link_is_not_written_through(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
     (tmp_path / "out").mkdir()

@@ -12,7 +12,7 @@ import psutil
 import pytest
 from interrupted import Command, damaged, faults, leftovers
 
-from bridge.interruption import hidden_file, hidden_folder, remove_abandoned, tidied
+from bridge.interruption import remove_abandoned
 
 Script = Callable[[str], subprocess.Popen[str]]
 #: Stops every Python process of a command where it imports a module, and says so by a file.
@@ -218,15 +218,3 @@ def test_what_another_command_is_about_to_lock_stays(tmp_path: Path) -> None:
         os.utime(path, (0.0, 0.0))
     remove_abandoned(tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_hidden_places_go_also_with_an_error(tmp_path: Path) -> None:
-    told: list[str] = []
-
-    def fail() -> None:
-        with tidied(lambda: told.append("tidied")), hidden_folder(tmp_path) as folder, hidden_file(folder, ".csv"):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fail()
-    assert (told, list(tmp_path.iterdir())) == (["tidied"], [])

@@ -7,22 +7,6 @@ from typing import Any
 Run = Callable[..., Any]
 
 
-def test_behaviour_that_no_map_offers_is_an_error_where_it_was_asked_for_by_name(
-    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
-    """The map of the curve has no turns. The usual shares ask for turns too, but not by name."""
-    curve = data_scenes["curve"]
-    for asked in (["--behaviours", "left_turn=1"], ["--set", "request.left_turn=0.5"]):
-        result = hid2("generate", curve, "-o", "out", "-q", *asked, cwd=tmp_path)
-        (line,) = result.stderr.splitlines()
-        assert result.returncode == 2
-        assert line.startswith("hid2: error: behaviour left_turn: can come about in none of the scenes looked at ")
-        assert f"looked at (1 of 1); {curve}: The map " in line
-        assert line.endswith("expected another behaviour or other scenes (see hid2 scan)")
-    assert list(tmp_path.iterdir()) == []
-    assert hid2("generate", curve, "-o", "out", "-q", "--agents", 1, cwd=tmp_path).returncode == 0
-
-
 def test_scene_that_cannot_be_read_neither_meets_a_request_nor_hides_that_none_does(
     hid2: Run, data_scenes: dict[str, Path], copy_scene: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -1,12 +1,9 @@
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from written import edit_json
 
 from bridge.sumo.net import convert
-from netconvert.errors import ExportError, MapError
+from netconvert.errors import ExportError
 from netconvert.fidelity import UNEXPLAINED
 
 
@@ -28,18 +25,6 @@ def test_two_runs_write_the_same_bytes(data_scenes: dict[str, Path], tmp_path: P
     (path,) = data_scenes["curve"].glob("log_map_archive_*.json")
     assert convert(path, tmp_path / "map").lanes_in_net > 0  # the file alone
     assert {path.name for path in (tmp_path / "map").iterdir()} == {path.name for path in (tmp_path / "a").iterdir()}
-
-
-def test_a_map_that_cannot_be_read_leaves_nothing_behind(copy_scene: Callable[..., Path], tmp_path: Path) -> None:
-    def spoil(data: dict[str, Any]) -> None:
-        next(iter(data["lane_segments"].values()))["lane_type"] = "TRAM"
-
-    scene = copy_scene()
-    (path,) = scene.glob("log_map_archive_*.json")
-    edit_json(path, spoil)
-    with pytest.raises(MapError, match="lane_type: 'TRAM'"):
-        convert(scene, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def test_where_a_folder_or_a_file_is_in_the_way_nothing_is_written(
