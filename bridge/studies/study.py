@@ -40,6 +40,8 @@ _RULE = "rule."
 _OWN_RULE = "module:function"
 _READ_BY = {
     "lane_change.time_gap_": "paper",
+    "lane_change.min_gap_m": "paper",
+    "lane_change.braking_mps2": "paper",
     "lane_change.mobil_": "MOBIL",
     "lane_change.lc_": "LC2013",
     _RULE: _OWN_RULE,
@@ -108,7 +110,7 @@ class Study:
         return tuple(key for key in self.points[0] if len({point[key] for point in self.points}) > 1)
 
 
-def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Study:
+def read_study(path: Path | str, *, scenes: Sequence[Path | str] | None = None) -> Study:
     """Read a study. scenes: take the place of those in the file, where paths are relative to it.
 
     Errors: ConfigError with file, key, value; also where a path holds no scene.
@@ -120,7 +122,7 @@ def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Stu
         given["seeds"] = content.seeds
     for key, values in given.items():
         _check_different(values, f"{path}: {key} = {values!r:.200}", "expected each value once")
-    places = scenes or [path.parent / scene for scene in content.scenes]
+    places = [*map(Path, scenes or ())] or [path.parent / scene for scene in content.scenes]
     if not places:
         raise ConfigError(f"{path}: no key 'scenes', expected folders of recorded scenes: add it, or give --scenes")
     try:
