@@ -80,8 +80,7 @@ OUTCOMES = (
     Merit("mean_wait_s", "mean waiting time from the trigger, s, up to the shortest time observed at every value",
             "requests", None),
     Merit("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
-    Merit("gaps_taken", "share of the gaps that the rule took into which the vehicle then changed", "gaps", "taken",
-            "accepted"),
+    Merit("gaps_taken", "share of the gaps that the rule took and vehicles changed into", "gaps", "taken", "accepted"),
     *(
         Merit(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} refused at last", "gaps",
                 f"refused_by_{name}")

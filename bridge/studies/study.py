@@ -121,7 +121,7 @@ def read_study(path: Path | str, *, scenes: Sequence[Path | str] | None = None) 
     if isinstance(content.seeds, list):
         given["seeds"] = content.seeds
     for key, values in given.items():
-        _check_different(values, f"{path}: {key} = {values!r:.200}", "expected each value once")
+        check_different(values, f"{path}: {key} = {values!r:.200}", "expected each value once")
     places = [*map(Path, scenes or ())] or [path.parent / scene for scene in content.scenes]
     if not places:
         raise ConfigError(f"{path}: no key 'scenes', expected folders of recorded scenes: add it, or give --scenes")
@@ -144,7 +144,7 @@ def read_study(path: Path | str, *, scenes: Sequence[Path | str] | None = None) 
         )
     points = tuple(grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
     told = [", ".join(f"{key} = {value}" for key, value in point.items()) for point in points]
-    _check_different(told, f"{path}: samples = {content.samples}", "expected fewer samples, or wider bounds")
+    check_different(told, f"{path}: samples = {content.samples}", "expected fewer samples, or wider bounds")
     configs = tuple(
         tuple(configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
         for point in points
@@ -171,8 +171,8 @@ def read_study(path: Path | str, *, scenes: Sequence[Path | str] | None = None) 
     return Study(path.stem, content.kind, folders, points, seeds, configs, paired)
 
 
-def _check_different(values: Sequence[Value], given: str, expected: str) -> None:
-    """Errors: ConfigError for a value that is there more than once, which would count as new data."""
+def check_different(values: Sequence[Value], given: str, expected: str) -> None:
+    """Errors: ConfigError for a value that is there more than once, and would count as another one."""
     for value, times in Counter(values).items():
         if times > 1:
             raise ConfigError(f"{given}: {value!r:.200} is there {times} times, {expected}")
