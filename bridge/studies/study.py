@@ -26,7 +26,6 @@ from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
 from bridge.recordings.export import write_folder
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import ManeuverKind
 from bridge.recordings.sources import find_sources
 from bridge.toml import read_toml_as
 from hid2.params import Config
@@ -73,7 +72,7 @@ class _File(BaseModel):
     design: Literal["grid", "latin_hypercube"] = "grid"
     samples: int = Field(default=0, ge=0, le=1_000_000)
     sample_seed: int = Field(default=0, ge=0)
-    kind: ManeuverKind = "lane_change"
+    kind: Literal["lane_change", "overtake"] = "lane_change"  # a turn takes no gap
     vary: dict[str, Annotated[list[FiniteFloat | int | str | bool], Field(min_length=1)]] = Field(min_length=1)
     config: dict[str, Any] = {}
 

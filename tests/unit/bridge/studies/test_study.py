@@ -132,6 +132,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ("[vary]\ntrigger_s = []\n", "vary.trigger_s = [], expected at least 1 value"),
         ("seeds = []\n[vary]\ntrigger_s = [1.0]\n", "seeds = [], expected at least 1 value"),
         ("[vary\n", "not TOML"),
+        ('kind = "left_turn"\n[vary]\ntrigger_s = [1.0]\n', "'left_turn', expected 'lane_change' or 'overtake'"),
     ],
 )
 def test_wrong_study_is_named(tmp_path: Path, data_root: Path, text: str, words: str) -> None:
