@@ -25,7 +25,7 @@ def _option(default: Any, unit: str, says: str, metavar: str, **more: Any) -> An
 
 _FUNCTION = Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", examples=["module:function"])
 _OWN = r"[A-Za-z_][\w.]*:[A-Za-z_]\w*=(0?\.[0-9]+|[01](\.0*)?)"  # module:behaviour=share
-_ARGUMENT = r"[A-Za-z_]\w*=-?[0-9][0-9.e+-]*"
+_ARGUMENT = r"[A-Za-z_]\w*=-?[0-9]+(\.[0-9]*)?(e[+-]?[0-9]+)?"
 #: What rules of the tool read of `lane_change.rule_with`, on roads without recorded agents.
 _READ_OF_RULE_WITH = {"paper": {"incentive"}, "MOBIL": set[str](), "LC2013": {"keep_right"}}
 _ARGUMENTS = Field(pattern=rf"^({_ARGUMENT}(, *{_ARGUMENT})*)?$", examples=["name=number, ..."])
@@ -243,9 +243,11 @@ class LaneChange(_Section):
     def _check(self) -> "LaneChange":
         if self.max_duration_s < self.min_duration_s:
             raise ValueError(f"max_duration_s {self.max_duration_s} is below min_duration_s {self.min_duration_s}")
-        names = {part.partition("=")[0].strip() for part in self.rule_with.split(",") if part}
-        read = _READ_OF_RULE_WITH.get(self.rule, names)
-        if not names <= read:
+        names = [part.partition("=")[0].strip() for part in self.rule_with.split(",") if part]
+        if len(names) > len({*names}):
+            raise ValueError(f"rule_with = {self.rule_with!r}: a name is there twice, expected each once")
+        read = _READ_OF_RULE_WITH.get(self.rule, {*names})
+        if not {*names} <= read:
             raise ValueError(
                 f"rule_with = {self.rule_with!r}: rule {self.rule} reads {', '.join(read) or 'nothing'} of it"
             )

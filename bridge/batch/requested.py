@@ -48,8 +48,7 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
             if isinstance(found, Failure):
                 continue
             seen += 1
-            where = f"{folder}, for one" if len(folders) > 1 else f"{folder}"
-            here = {asked: f"{where}: {why}" for asked, why in found.items()}
+            here = {asked: f"{folder}{', for one' if len(folders) > 1 else ''}: {why}" for asked, why in found.items()}
             never = here if never is None else {asked: why for asked, why in never.items() if asked in here}
             if not never:
                 return
@@ -103,10 +102,15 @@ def came_about_nowhere(rows: Sequence[ManifestRow], config: Config, named: Seque
     for event in config.event:
         asked[f"{event.kind} with {event.target}"] += event.count * len(done)
     nowhere = [name for name, count in asked.items() if 0 < count <= _not_done(done, name)]
-    in_vain = (policy.value for policy in named if _not_done(done, policy.value))
-    nowhere += [name for name in in_vain if not any(getattr(row, name) for row in done)]
-    is_empty = done and config.request.agents != 0 and not any(row.placed for row in done)
-    return [*nowhere, *(["any vehicle"] if is_empty else [])]
+    kinds = {one: one.value for one in named}
+    if config.request.own:  # rows tell of these by what they are seen as
+        from hid2.policy.behaviours import BEHAVIOURS  # slow to import, and loaded by now
+
+        kinds = {one: BEHAVIOURS[one].seen_as[0].value for one in named}
+    nowhere += [
+        one for one, kind in kinds.items() if _not_done(done, kind) and not any(getattr(row, kind) for row in done)
+    ]
+    return nowhere + ["any vehicle"] * bool(done and config.request.agents != 0 and not any(row.placed for row in done))
 
 
 def _not_done(rows: Sequence[ManifestRow], name: str) -> int:

@@ -105,8 +105,7 @@ def facts_of(
 
 def _own_in(can: Sequence[str]) -> dict[str, Policy]:
     """Policies of the behaviours of a user's own among the names of `Selection.can`, loaded. Errors: ConfigError."""
-    own = [name for name in can if ":" in name and name not in EVENTS]
-    if own:
+    if own := [name for name in can if ":" in name and name not in EVENTS]:
         find_in_working_folder()
     return load_own(own)
 
@@ -121,7 +120,7 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
     drivable = {lane.lane_id for lane in lanes}
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
-    room = rooms(routes)
+    room, mine = rooms(routes), [name for name, policy in own.items() if routes.map_offers(policy)]
     return SceneFacts(
         folder=folder,
         scenario=scenario.scenario_id,
@@ -140,12 +139,7 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
         overtake_m=room[Policy.OVERTAKE],
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
-        events=" ".join(
-            (
-                *offered_events(here, [name for name in asked if name not in own]),
-                *(name for name, policy in own.items() if routes.map_offers(policy)),
-            )
-        ),
+        events=" ".join([*offered_events(here, [name for name in asked if name not in own]), *mine]),
         shift_m=round(figures_of(scenario).shift_m, 1),
     )
 

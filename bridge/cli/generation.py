@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow
@@ -174,8 +175,7 @@ def generate(
         print_batch(rows, resolved.request)
         paths = [out / row.folder for row in rows if row.folder] if len(rows) <= LISTED_RUNS else []
         activity.result(*paths, out / MANIFEST_NAME)
-    nowhere = came_about_nowhere(rows, resolved, named)
-    if nowhere:
+    if nowhere := came_about_nowhere(rows, resolved, named):
         fail(f"{', '.join(nowhere)}: asked for, and came about in no scene; {out / MANIFEST_NAME} has the reasons")
     return bool(nowhere) or any(row.status != DONE for row in rows)
 
@@ -240,7 +240,7 @@ def notes_of(activity: Activity, out: Path, *, go_on: str) -> "OnRow":
         if row.status != DONE:
             say(
                 f"warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
-                f"  to see it again: hid2 generate --repro {out / row.bundle}"
+                f"  to see it again: hid2 generate --repro {quote(str(out / row.bundle))}"
             )
         elif activity.verbose:
             say(f"{row.scenario} variant {row.variant}: {row.placed} of {row.asked} placed, {row.seconds:.1f} s")

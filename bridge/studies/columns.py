@@ -80,8 +80,7 @@ OUTCOMES = (
     Merit("mean_wait_s", "mean waiting time from the trigger, s, up to the shortest time observed at every value",
             "requests", None),
     Merit("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
-    Merit("gaps_taken", "share of the gaps that the rule took that SUMO let it into", "gaps", "taken",
-            "accepted"),
+    Merit("gaps_taken", "share of the gaps that the rule took and vehicles changed into", "gaps", "taken", "accepted"),
     *(
         Merit(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} refused at last", "gaps",
                 f"refused_by_{name}")
@@ -166,7 +165,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "p": "two-sided, of no trend: signs of the clusters' own trends are changed (Canay, Romano and Shaikh 2017)",
         "clusters": "how many tell of two values: scenes, or runs of fewer than three; k give p of 2 / 2^k at least",
         "p_holm": f"the same, adjusted for all outcomes but {OUTCOMES[0].name} that vary at all (Holm)",
-        "difference": "estimate less that of the first value",
+        "difference": "estimate less that of the first value: the least number, or the name that the study has first",
         "difference_low_runs, difference_high_runs": "its 95 % interval: the same draw of runs for both values",
         "difference_low_scenes, difference_high_scenes": "the same with scenes",
     },

@@ -18,7 +18,7 @@ from bridge.pages.parts import text
 from bridge.pictures import figures
 from bridge.studies.columns import DECIDE, DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import critical_gap, gaps_of
-from bridge.studies.statistics import difference_sd, dose_response, kaplan_meier, seeds_needed
+from bridge.studies.statistics import difference_sd, dose_response, in_order, kaplan_meier, seeds_needed
 from bridge.studies.study import Study
 from hid2.params import Conflict
 
@@ -26,14 +26,7 @@ from hid2.params import Conflict
 _MOST_VALUES, _CLASSES = 12, 6
 #: Differences of shares for which the page says how many seeds they need.
 _SIZES_TOLD = (0.02, 0.05, 0.1)
-_COLORS = {
-    "cells": figures.SKY,
-    "rule": figures.ORANGE,
-    "road": figures.GREY,
-    "end": figures.PURPLE,
-    "guard": figures.GREEN,
-    "sumo": figures.VERMILION,
-}
+_COLORS = (figures.ORANGE, figures.SKY, figures.GREY, figures.PURPLE, figures.GREEN, figures.VERMILION)
 _LOG = logging.getLogger(__name__)
 
 
@@ -52,8 +45,7 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     files: list[Path] = []
     doses, critical = [], []
     for key in keys if any_counted else ():
-        never = sorted(set(requests[key]) - set(requests.loc[requests["counted"], key]), key=str)
-        if never:
+        if never := sorted(set(requests[key]) - set(requests.loc[requests["counted"], key]), key=str):
             said = "%s: no request was due at %s = %s; expected earlier trigger times, or longer scenes"
             _LOG.warning(said, out_dir, key, ", ".join(map(str, never)))
         told_as = _classes(requests[key])
@@ -119,7 +111,7 @@ def draw_parameter(
     give_up_s: the longest wait of all.
     """
     figures.style()
-    values = sorted(requests[key].unique())
+    values = in_order(requests, key)
     numeric = not isinstance(values[0], str)
     at = {value: (float(value) if numeric else float(place)) for place, value in enumerate(values)}
     figure, axes = plt.subplots(2, 2, figsize=(9, 7), layout="constrained")
@@ -134,7 +126,9 @@ def draw_parameter(
             "mean_wait_s": (f"waiting, up to {within_s:g} s", figures.BLUE),
             "lateral_s": ("lateral motion, once accepted", figures.ORANGE),
         },
-        "gaps refused, share, by": {f"refused_by_{name}": (said, _COLORS[name]) for name, said in DECIDE.items()},
+        "gaps refused, share, by": {
+            f"refused_by_{name}": (said, color) for (name, said), color in zip(DECIDE.items(), _COLORS, strict=True)
+        },
     }
     for panel, (panel_title, outcomes) in zip(axes.flat, by_value.items(), strict=False):
         for outcome, (label, color) in outcomes.items():
@@ -194,6 +188,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         requests={
             "all": len(requests),
             "counted": len(counted),
+            "accepted": int(accepted.sum()),
             "never": int((~due).sum()),
             "other": int((~requests["counted"] & due).sum()),
         },

@@ -207,7 +207,7 @@ def _measured(
         row["source"] = "flow" if vehicle.vehicle_id in driving.entered else "start"
         row["exported"] = exported.get(vehicle.vehicle_id)
         one = simulated.get(vehicle.vehicle_id)
-        outcome = outcome_of(scene, one, simulated.values()) if one is not None and vehicle.shifts else None
+        outcome = outcome_of(scene, one, simulated.values()) if one is not None else None
         if outcome is not None:
             row |= {name: getattr(outcome, name) for name in ("status", "start_s", "crossing_s", "end_s")}
             row["reason"] = None if outcome.reason is None else str(outcome.reason.value)

@@ -27,7 +27,7 @@ from bridge.studies.gap_acceptance import troutbeck
 from bridge.studies.road_traffic import CELL_M, CELL_S
 from bridge.studies.run import RunsReport
 from bridge.studies.statistics import LONG_GAP_S, estimates
-from bridge.studies.study import Value, configured, grid, read_run
+from bridge.studies.study import Value, check_different, configured, grid, read_run
 from bridge.toml import read_toml_as
 from hid2.agents import FloatArray
 from hid2.params import Config
@@ -119,6 +119,7 @@ class PublicRoads(RoadPart):
 def read_public(path: Path) -> PublicRoads:
     """Read a page and the files that it names, relative to it. Errors: ConfigError with file, key, value."""
     page = read_toml_as(PublicRoads, path, "a page of public roads")
+    check_different([rule.name for rule in page.rule], f"{path}: rule.name", "expected another name for each rule")
     for site in page.road:
         counts, lanes = site.told, site.road.from_lanes
         known = (*MEASURES, *lanes)

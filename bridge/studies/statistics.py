@@ -42,10 +42,7 @@ def estimates(
 
 def units(frame: pd.DataFrame) -> dict[str, list[str]]:
     """What is drawn again: runs, and scenes where there are enough."""
-    found = {"runs": ["scene", "seed"]}
-    if frame["scene"].nunique() >= UNITS_LEAST:
-        found["scenes"] = ["scene"]
-    return found
+    return {"runs": ["scene", "seed"]} | ({"scenes": ["scene"]} if frame["scene"].nunique() >= UNITS_LEAST else {})
 
 
 # Waiting --------------------------------------------------------------------------------------------------------------
@@ -110,10 +107,15 @@ def _by_value(
     return ratio
 
 
+def in_order(requests: pd.DataFrame, key: str) -> list[Any]:
+    """Values of a parameter: numbers by their size, names as the study has them."""
+    return requests.sort_values(key if pd.api.types.is_numeric_dtype(requests[key]) else "point")[key].unique().tolist()
+
+
 def dose_response(
     requests: pd.DataFrame, gaps: pd.DataFrame, key: str, *, give_up_s: float, critical_ttc_s: float
 ) -> pd.DataFrame:
-    """For each value of a parameter each outcome with its intervals, and its difference to the first value, paired.
+    """For each value of a parameter each outcome with its intervals, and its difference to the first one, paired.
 
     give_up_s: the longest wait that every value allows.
     """
@@ -130,27 +132,26 @@ def dose_response(
         frame = frames[outcome.table]
         if frame.empty:
             continue
-        values, code = np.unique(frame[key].to_numpy(), return_inverse=True)
+        values = [value for value in in_order(requests, key) if (frame[key] == value).any()]
+        code = frame[key].map({value: place for place, value in enumerate(values)}).to_numpy()
         statistic = _by_value(frame, outcome, code, len(values), within_s=within_s)
         of = (frame[outcome.above or "vehicle"].notna() & frame[outcome.below or "vehicle"].ne(0.0)).to_numpy()
         clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]
         alone = np.array([statistic((clusters == one).astype(np.float64)) for one in range(clusters.max() + 1)])
         same = {"parameter": key, "outcome": outcome.name, "clusters": int((np.isfinite(alone).sum(axis=1) > 1).sum())}
         own: list[dict[str, Any]] = [
-            {**same, "value": value, "rows": int((of & (code == place)).sum())}
-            for place, value in enumerate(values.tolist())
+            {**same, "value": value, "rows": int((of & (code == place)).sum())} for place, value in enumerate(values)
         ]
         for row in own if outcome.above is None else ():
             row["within_s"] = within_s
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
-            if unit == "runs" and pd.api.types.is_numeric_dtype(values):
-                trend = _trend(values.astype(np.float64), whole, draws, alone)
+            if unit == "runs" and not isinstance(values[0], str):
+                trend = _trend(np.array(values, dtype=np.float64), whole, draws, alone)
                 for row in own:
                     row |= trend
             for place, row in enumerate(own):
-                row["estimate"], *row_interval = interval(whole[place], draws[:, place])
-                row[f"low_{unit}"], row[f"high_{unit}"] = row_interval
+                row["estimate"], row[f"low_{unit}"], row[f"high_{unit}"] = interval(whole[place], draws[:, place])
                 row["difference"], *apart = interval(whole[place] - whole[0], draws[:, place] - draws[:, 0])
                 row[f"difference_low_{unit}"], row[f"difference_high_{unit}"] = apart
         rows += own
@@ -209,7 +210,8 @@ def seeds_needed(sd: float, difference: float) -> int:
 
 def difference_sd(requests: pd.DataFrame, key: str) -> tuple[float, int] | None:
     """SD over runs of a run's difference in the share accepted between a parameter's ends, and the runs; or None."""
-    by_run = requests[requests["counted"]].groupby(["scene", "seed", key])["accepted"].mean().unstack(key)
+    counted = requests[requests["counted"]]
+    by_run = counted.groupby(["scene", "seed", key])["accepted"].mean().unstack(key)[in_order(counted, key)]
     apart = (by_run.iloc[:, -1] - by_run.iloc[:, 0]).dropna() if by_run.shape[1] > 1 else pd.Series(dtype=float)
     return (float(apart.std()), len(apart)) if len(apart) >= UNITS_LEAST else None
 

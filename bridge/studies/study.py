@@ -26,7 +26,6 @@ from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
 from bridge.recordings.export import write_folder
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import ManeuverKind
 from bridge.recordings.sources import find_sources
 from bridge.toml import read_toml_as
 from hid2.params import Config
@@ -40,6 +39,8 @@ _RULE = "rule."
 _OWN_RULE = "module:function"
 _READ_BY = {
     "lane_change.time_gap_": "paper",
+    "lane_change.min_gap_m": "paper",
+    "lane_change.braking_mps2": "paper",
     "lane_change.mobil_": "MOBIL",
     "lane_change.lc_": "LC2013",
     _RULE: _OWN_RULE,
@@ -71,7 +72,7 @@ class _File(BaseModel):
     design: Literal["grid", "latin_hypercube"] = "grid"
     samples: int = Field(default=0, ge=0, le=1_000_000)
     sample_seed: int = Field(default=0, ge=0)
-    kind: ManeuverKind = "lane_change"
+    kind: Literal["lane_change", "overtake"] = "lane_change"  # a turn takes no gap
     vary: dict[str, Annotated[list[FiniteFloat | int | str | bool], Field(min_length=1)]] = Field(min_length=1)
     config: dict[str, Any] = {}
 
@@ -108,7 +109,7 @@ class Study:
         return tuple(key for key in self.points[0] if len({point[key] for point in self.points}) > 1)
 
 
-def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Study:
+def read_study(path: Path | str, *, scenes: Sequence[Path | str] | None = None) -> Study:
     """Read a study. scenes: take the place of those in the file, where paths are relative to it.
 
     Errors: ConfigError with file, key, value; also where a path holds no scene.
@@ -119,8 +120,8 @@ def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Stu
     if isinstance(content.seeds, list):
         given["seeds"] = content.seeds
     for key, values in given.items():
-        _check_different(values, f"{path}: {key} = {values!r:.200}", "expected each value once")
-    places = scenes or [path.parent / scene for scene in content.scenes]
+        check_different(values, f"{path}: {key} = {values!r:.200}", "expected each value once")
+    places = [*map(Path, scenes or ())] or [path.parent / scene for scene in content.scenes]
     if not places:
         raise ConfigError(f"{path}: no key 'scenes', expected folders of recorded scenes: add it, or give --scenes")
     try:
@@ -142,7 +143,7 @@ def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Stu
         )
     points = tuple(grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
     told = [", ".join(f"{key} = {value}" for key, value in point.items()) for point in points]
-    _check_different(told, f"{path}: samples = {content.samples}", "expected fewer samples, or wider bounds")
+    check_different(told, f"{path}: samples = {content.samples}", "expected fewer samples, or wider bounds")
     configs = tuple(
         tuple(configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
         for point in points
@@ -169,8 +170,8 @@ def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Stu
     return Study(path.stem, content.kind, folders, points, seeds, configs, paired)
 
 
-def _check_different(values: Sequence[Value], given: str, expected: str) -> None:
-    """Errors: ConfigError for a value that is there more than once, which would count as new data."""
+def check_different(values: Sequence[Value], given: str, expected: str) -> None:
+    """Errors: ConfigError for a value that is there more than once, and would count as another one."""
     for value, times in Counter(values).items():
         if times > 1:
             raise ConfigError(f"{given}: {value!r:.200} is there {times} times, {expected}")

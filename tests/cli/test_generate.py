@@ -122,15 +122,13 @@ def test_scene_that_fails_costs_exit_code_1_and_not_the_others(
 ) -> None:
     broken = copy_scene("curve")
     next(broken.glob("log_map_archive_*.json")).write_text("{")
-    result = hid2("generate", data_scenes["arterial"], broken, "-o", tmp_path / "out", "--agents", 2)
-    assert result.returncode == 1
+    result = hid2("generate", data_scenes["arterial"], broken, "-o", tmp_path / "my out", "--agents", 2)
+    assert (result.returncode, "1 of 2 scenes done" in result.stdout) == (1, True), result.stdout
     assert "not JSON" in result.stderr
-    assert "1 of 2 scenes done" in result.stdout
-    (bad,) = [row for row in rows_of(tmp_path / "out") if row["status"] == "quarantined"]
-    assert f"hid2 generate --repro {tmp_path / 'out' / bad['bundle']}" in result.stderr
-    again = hid2("generate", "--repro", tmp_path / "out" / bad["bundle"])
-    assert again.returncode == 1
-    assert "now:  error:" in again.stdout
+    (bad,) = [row for row in rows_of(tmp_path / "my out") if row["status"] == "quarantined"]
+    assert f"hid2 generate --repro '{tmp_path / 'my out' / bad['bundle']}'" in result.stderr
+    again = hid2("generate", "--repro", tmp_path / "my out" / bad["bundle"])
+    assert (again.returncode, "now:  error:" in again.stdout) == (1, True), again.stdout
 
 
 def test_scene_goes_into_the_split_of_its_source_and_it_is_said_where_there_is_none(

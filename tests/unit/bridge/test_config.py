@@ -46,8 +46,8 @@ def test_values_may_be_of_numpy_and_ablations_are_a_list() -> None:
     ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
     ("request.own=mine:x=.2, other:x=1.0", "two of one name, expected a name for each"),
     ("request.own=mine:x=2", r"'mine:x=2', expected module:name=share, ... \(shares from 0 to 1\)"),
-    ("lane_change.rule_with=foo=3", "rule paper reads incentive of it"),
-    ("lane_change.rule_with=foo", "rule_with = 'foo', expected name=number, ..."),
+    ("lane_change.rule_with=foo=3", "rule paper reads incentive of it"), ("lane_change.rule_with=b=1,b=2", "b.*twice"),
+    ("lane_change.rule_with=b=1.2.3", "rule_with = 'b=1.2.3', expected name=number, ..."),
     ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
 ])  # fmt: skip
 def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, said: str) -> None:

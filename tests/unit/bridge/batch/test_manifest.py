@@ -83,8 +83,7 @@ def test_damage_costs_the_lines_it_touches_and_makes_none_up(
 @pytest.mark.parametrize("values", [
     {"status": DONE, "folder": "../elsewhere"}, {"status": DONE, "folder": "/etc"},
     {"bundle": "quarantine/../../x.zip"}, {"status": "finished"}, {"split": "../val"}, {"variant": -1},
-    {"config_sha256": "short"}, {"status": DONE},
-    {"folder": "val/x"},
+    {"config_sha256": "short"}, {"status": DONE}, {"folder": "val/x"},
 ], ids=str)  # fmt: skip
 def test_row_that_cannot_have_been_written_here_is_left_out(tmp_path: Path, values: dict[str, object]) -> None:
     """A manifest may come from anywhere: what it says is joined to no path outside OUT."""
@@ -131,8 +130,7 @@ def test_digest_depends_on_names_and_contents_only(tmp_path: Path) -> None:
     for name, content in (("a", "1"), ("b", "2")):
         (tmp_path / name).write_text(content)
     a, b = tmp_path / "a", tmp_path / "b"
-    assert files_sha256([a, b]) == files_sha256([b, a])
-    before = files_sha256([a, b])
+    assert (before := files_sha256([a, b])) == files_sha256([b, a])
     b.write_text("3")
     assert files_sha256([a, b]) != before
     assert files_sha256([]) == ""

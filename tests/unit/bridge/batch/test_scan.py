@@ -70,8 +70,7 @@ def test_sample_is_drawn_with_the_seed_and_takes_all_and_warns_where_there_are_f
     many = [fact(str(number)) for number in range(100)]
     first = select(many, Selection(sample=10, seed=1))
     assert len(first) == 10
-    assert first == select(many, Selection(sample=10, seed=1))
-    assert first != select(many, Selection(sample=10, seed=2))
+    assert select(many, Selection(sample=10, seed=1)) == first != select(many, Selection(sample=10, seed=2))
     assert [many.index(chosen) for chosen in first] == sorted(many.index(chosen) for chosen in first)
     assert first[::-1] == select(many[::-1], Selection(sample=10, seed=1)), "whatever the order of paths"
     assert select(many[:3], Selection(sample=3)) == many[:3]
@@ -94,10 +93,8 @@ def test_scene_that_cannot_be_read_is_tried_with_those_selected(monkeypatch: pyt
 def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Path]) -> None:
     """On the arterial a vehicle can drive ahead of the focal track; events that are not asked for are not told."""
     facts = {name: describe_scene((), folder) for name, folder in data_scenes.items()}
-    assert facts["arterial"].lane_change_m > 500
-    assert facts["arterial"].overtake_m > 500
-    assert facts["intersection"].left_turns >= 4
-    assert facts["intersection"].right_turns >= 4
+    assert min(facts["arterial"].lane_change_m, facts["arterial"].overtake_m) > 500
+    assert min(facts["intersection"].left_turns, facts["intersection"].right_turns) >= 4
     assert facts["curve"].lane_change_m > 0
     assert describe_scene(("lead:focal",), data_scenes["arterial"]).events == "lead:focal"
     assert {found.events for found in facts.values()} == {""}
@@ -111,10 +108,7 @@ def test_real_scenes_have_the_figures_of_their_list_and_one_that_cannot_be_read_
     with (shared_data / "av2_scenarios.csv").open() as file:
         listed = {next(iter(row.values())): row for row in csv.DictReader(file)}
     facts, failures = facts_of([real_scenes[0], tmp_path, real_scenes[3]])
-    assert [folder for folder, _ in failures] == [tmp_path]
-    assert len(facts) == 2
+    assert ([folder for folder, _ in failures], len(facts)) == ([tmp_path], 2)
     for found in facts:
         (row,) = [row for key, row in listed.items() if found.scenario.startswith(key[:8])]
-        assert found.city == row["city"]
-        assert found.tracks == int(row["tracks"])
-        assert found.lanes == int(row["lanes"])
+        assert (found.city, found.tracks, found.lanes) == (row["city"], int(row["tracks"]), int(row["lanes"]))

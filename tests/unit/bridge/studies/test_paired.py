@@ -56,11 +56,8 @@ def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(da
         prepared = prepare(scenario, config)
         drawn = draw(prepared, drawing_config(config))
         runs.append((drawn, paired_run(prepared, drawn, config), trigger_s))
-    (first, _, _), (second, _, _) = runs
-    assert [(one.vehicle_id, one.start_m, one.start_mps, one.driver) for one in first.starts] == [
-        (one.vehicle_id, one.start_m, one.start_mps, one.driver) for one in second.starts
-    ]
-    assert len(first.starts) > 0
+    first, second = ([(s.vehicle_id, s.start_m, s.start_mps, s.driver) for s in drawn.starts] for drawn, _, _ in runs)
+    assert first == second != []
     for drawn, run, trigger_s in runs:
         assert len(run.requests) == 6  # nobody is replaced and nobody left out
         assert {row["trigger_s"] for row in run.requests} == {trigger_s}
@@ -82,6 +79,13 @@ def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_
     assert [row["observed_to_s"] for row in waiting] == pytest.approx([7.2] * len(waiting))
 
 
+def test_turns_beside_have_their_outcome(data_scenes: dict[str, Path]) -> None:
+    config = Config(request=CHANGES.model_copy(update={"left_turn": 1.0, "lane_change": 0.0}))
+    prepared = prepare(read_scenario(data_scenes["intersection"]), config)
+    run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
+    assert any(row["start_s"] for row in run.requests), "one turns, at least"
+
+
 def test_durations_are_within_the_bounds_of_the_run_and_no_others(data_scenes: dict[str, Path]) -> None:
     config = Config(
         request=CHANGES, lane_change=LaneChange(max_duration_s=12.0), drivers=Drivers(lane_change_mean_s=8.0)
@@ -95,11 +99,9 @@ def test_corridor_can_be_read_and_is_what_was_asked_for_unless_it_is_out_of_rang
     corridor: Path, tmp_path: Path
 ) -> None:
     scenario = read_scenario(corridor)
-    assert scenario.scenario_id == "corridor-250m-2lanes-40s"
-    assert scenario.num_steps == 400
+    assert (scenario.scenario_id, scenario.num_steps) == ("corridor-250m-2lanes-40s", 400)
     assert [lane.length_m for lane in scenario.graph.lanes.values()] == pytest.approx([250.0, 250.0])
-    assert scenario.graph.may_change(1, "left")
-    assert not scenario.graph.may_change(1, "right")
+    assert [scenario.graph.may_change(1, side) for side in ("left", "right")] == [True, False]
     assert all(track.path_m == 0.0 for track in scenario.tracks)
     with pytest.raises(ConfigError, match="--seconds 2"):
         write_corridor(tmp_path, length_m=300.0, lanes=2, seconds=2.0)

@@ -157,11 +157,9 @@ def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
         for point, p in enumerate((0.0, 0.5, 1.0)):
             rows += [
                 {**RUN, "point": point, "p": p, "seed": seed, "vehicle": f"v{k}", "counted": True,
-                 "accepted": luck[k] < 0.6 + slope * p, "waited_s": 5.0, "looks": 10, "overlaps": False,
-                 "lag_drac_mps2": 1.0, "lag_headway_s": 1.5,
-                 "lag_brakes_mps2": 0.5, "lateral_s": 4.0,
-                 "lag_time_gap_s": 2.0 + p,
-                 "start_s": 3.0, "min_ttc_s": np.nan}
+                 "accepted": luck[k] < 0.6 + slope * p, "waited_s": 5.0, "looks": 10, "overlaps": False, "start_s": 3.0,
+                 "lag_drac_mps2": 1.0, "lag_headway_s": 1.5, "lag_brakes_mps2": 0.5, "lateral_s": 4.0,
+                 "lag_time_gap_s": 2.0 + p, "min_ttc_s": np.nan}
                 for k in range(each)
             ]  # fmt: skip
     return pd.DataFrame(rows)
@@ -170,7 +168,8 @@ def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
 def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
     """2.0, 2.5, 3.0 s at 0, .5, 1: one s for one more. The share falls by .3; what never changes has no trend.
 
-    The paired difference excludes no effect where there is one, and not elsewhere.
+    The paired difference excludes no effect where there is one, and not elsewhere. Names are each compared with the one
+    that the study has first: by the alphabet rule, the second, would have no difference.
     """
     for slope, excluded in ((0.0, False), (-0.3, True)):
         dose = dose_response(_requests(slope), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
@@ -184,9 +183,13 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
     assert first.loc["share_accepted", "p"] < 0.05
     assert first.loc["lateral_s", "p"] == 1.0
     assert first.loc["lag_time_gap_s", "p"] == pytest.approx(2 / 2**12)  # each of twelve runs says the same
-    names = _requests(0.0).assign(p=lambda rows: np.where(rows["point"] > 0, "a", "b"))
+    names = _requests(0.0).assign(p=lambda rows: np.array(["sumo", "guard", "rule"])[rows["point"]])
     named = dose_response(names, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
     assert ("trend" in named, set(named["clusters"])) == (False, {12})
+    ((outcome, told),) = [each for each in _told(named)["outcomes"] if each[0].name == "lag_time_gap_s"]
+    line = macros("study_lines.md.j2").outcome(outcome, told, "p")
+    assert "2 at sumo, 2.5 at guard, 3 at rule; difference at guard +0.5, 95" in line
+    assert "; difference at rule +1, 95" in line
     assert (first["clusters"] == 12).all()
     varies = (first["p"] < 1.0) & (first.index != "share_accepted")  # a study is planned for that one
     assert (first["p_holm"].notna() == varies).all()  # what never changes is none of the family
@@ -206,8 +209,7 @@ def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> 
     path = tmp_path / "p.png"
     draw_parameter(path, "p", "p", dose=dose, requests=requests, give_up_s=6.0)
     assert path.stat().st_size > 10_000
-    share = dose[dose["outcome"] == "share_accepted"]
-    assert share["estimate"].tolist() == [0.0] * 3
+    assert dose.loc[dose["outcome"] == "share_accepted", "estimate"].tolist() == [0.0] * 3
 
 
 def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
@@ -228,8 +230,7 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
     dose = dose_response(_requests(0.0).assign(p=0.0), gaps, "p", give_up_s=6.0, critical_ttc_s=1.5)
     taken = dose[dose["outcome"] == "gaps_taken"]
     assert (taken["estimate"].tolist(), taken["rows"].tolist()) == (pytest.approx([1 / 3]), [3])
-    names = [f"refused_by_{name}" for name in ("sumo", "guard", "rule", "cells", "road")]
-    found = dose.set_index("outcome").loc[names]
+    found = dose.set_index("outcome").loc[[f"refused_by_{name}" for name in ("sumo", "guard", "rule", "cells", "road")]]
     assert found["estimate"].tolist() == pytest.approx([0.5, 1 / 3, 0.4, 0.2, 0.0])
     assert found["rows"].tolist() == [2, 3, 5, 5, 5]
 

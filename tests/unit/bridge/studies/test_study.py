@@ -79,9 +79,7 @@ def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Pa
     text += "[config.request]\ntrigger_list_s = [4.0]\n"
     study = read_study(study_file(tmp_path, text, data_root))
     assert len(study.folders) == 3
-    assert [tuple(point.values()) for point in study.points] == [
-        (1.0, 5.0), (1.0, 10.0), (1.0, 15.0), (2.0, 5.0), (2.0, 10.0), (2.0, 15.0),
-    ]  # fmt: skip
+    assert [tuple(point.values()) for point in study.points] == [(s, g) for s in (1.0, 2.0) for g in (5.0, 10.0, 15.0)]
     config = study.configs[4][1]
     assert (config.request.trigger_min_s, config.request.trigger_max_s, config.request.trigger_list_s) == (2.0, 2.0, ())
     assert (config.lane_change.give_up_s, config.request.seed) == (10.0, 5)
@@ -123,11 +121,13 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('design = "latin_hypercube"\nsamples = 9\n[vary]\n"lane_change.give_up_s"=[1,2]\n', "expected fewer samples"),
         ('[vary]\n"rule.b" = [0.5, 3.0]\n', "rule_with = 'b=0.5': rule paper reads incentive of it"),
         ('[vary]\n"lane_change.mobil_bias_mps2" = [1, 2]\n', "expected config.lane_change.rule = 'MOBIL', or another"),
+        ('[vary]\n"lane_change.min_gap_m"=[1]\n[config.lane_change]\nrule = "MOBIL"\n', "rule = 'paper', or another"),
         ('[vary]\n"lane_change.lc_speed_gain" = [1]\n"lane_change.rule" = ["paper", "MOBIL"]\n', "rule = 'LC2013', or"),
         ("samples = 4\n[vary]\ntrigger_s = [1.0]\n", "samples = 4 with design = 'grid', "),
         ("[vary]\nlane_change.give_up_s = [1.0]\n", 'has to be in quotes, as "lane_change.give_up_s" = [...]'),
         ("[vary]\ntrigger_s = []\n", "vary.trigger_s = [], expected at least 1 value"),
         ("seeds = []\n[vary]\ntrigger_s = [1.0]\n", "seeds = [], expected at least 1 value"),
+        ('kind = "left_turn"\n[vary]\ntrigger_s = [1.0]\n', "'left_turn', expected 'lane_change' or 'overtake'"),
     ],
 )
 def test_wrong_study_is_named(tmp_path: Path, data_root: Path, text: str, words: str) -> None:
@@ -139,7 +139,7 @@ def test_wrong_study_is_named(tmp_path: Path, data_root: Path, text: str, words:
 
 def test_scenes_may_be_given_beside_the_file(tmp_path: Path, data_root: Path) -> None:
     (tmp_path / "s.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
-    assert len(read_study(tmp_path / "s.toml", scenes=[data_root]).folders) == 3
+    assert len(read_study(tmp_path / "s.toml", scenes=[str(data_root)]).folders) == 3
 
 
 @pytest.mark.parametrize("name", ["corridor_lag_gap", "corridor_mobil", "corridor_lc2013"])
