@@ -41,7 +41,7 @@ _BEGINS_S = 1.3  # duration of the beginning of a vehicle, over which it does no
 _DRIVERS = 3  # drivers drawn for a site, at most
 _KEPT_SHARE = 0.95  # share of its start speed with which a vehicle must be on the map long enough
 _AHEAD_S = 12.0  # look-ahead along a route for sharp curves, s: a scene lasts 11
-_TURNED_M = 1.0  # distance behind a turn's lane at which the turn is seen, m
+_TURNED_M = 1.0  # distance before and behind a turn's lane from and to which the turn is seen, m
 _EASED_AT_MOST = 3  # times that a start is made slower, at most; once is enough for most
 #: Parts of the motion of a vehicle that is taken without a rollout over the scene: none.
 _NOT_ROLLED_OUT: tuple[Rollout, ...] = ()
@@ -264,7 +264,7 @@ class Starts:
                 return Reason.SCENE_ENDED
         kind = BEHAVIOURS[policy].turn
         if kind is not None:
-            turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_m)
+            turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_m + _TURNED_M)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             if shown_m < turn.end + _TURNED_M:

@@ -188,6 +188,13 @@ def test_turn_is_done_where_the_map_goes_on_behind_it(on_m: float, is_offered: b
     assert isinstance(made, Start) if is_made else made is Reason.SCENE_ENDED
 
 
+@pytest.mark.parametrize(("s", "reason"), [(59.5, Reason.TURN_NOT_SEEN), (58.0, None)])
+def test_turn_is_seen_from_its_beginning(s: float, reason: Reason | None) -> None:
+    sites = sites_of(_left_turn_scene(60.0))
+    made = sites.starts.make(_request(0, Policy.LEFT_TURN), Site(sites.here.routes.offers(1)[0], s), driver=DRIVER)
+    assert made is reason if reason else isinstance(made, Start)
+
+
 @pytest.mark.parametrize(("policy", "times"), [(Policy.LANE_CHANGE, 4), (Policy.STRAIGHT, 2)])
 def test_cells_for_a_manoeuvre_are_gone_through_again(
     monkeypatch: pytest.MonkeyPatch, policy: Policy, times: int
