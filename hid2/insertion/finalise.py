@@ -39,7 +39,7 @@ from netconvert.cells import Cell
 
 #: Widths of the filter over `smoothing.filter_s`, and shares of the driver's lateral offset, tried in turn, the usual
 #: ones first. No tunables: what no limit asks for is not changed, and none drives along the very middle of its lane.
-_FILTER_RATIOS, _OFFSET_SHARES = (1.0, 2.0, 5.0), (1.0, 0.5, 0.15)
+_FILTER_RATIOS, _OFFSET_SHARES = (1.0, 2.0, 3.2, 5.0), (1.0, 0.5, 0.15)
 #: Least lateral clearance to what is passed, of either direction, m, if some place in the lane gives it, and how far
 #: aside from the usual one places are tried, m. No tunables: one in eleven recorded vehicles leaves less.
 _PASSES_M, _ASIDE_M = 0.8, (0.25, 0.5)
