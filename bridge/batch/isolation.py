@@ -22,6 +22,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -96,17 +97,21 @@ class IsolatedProcess:
         self.stopped = False  # there will be no other process
         self._process: subprocess.Popen[bytes] | None = None
         self._open = contextlib.ExitStack()  # as long as there is a process
+        self._sent: tuple[object, ...] = ()
 
     def stream(self, function: str, *arguments: object) -> Iterator[Any]:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
 
         The last one is a `Failure` where the process dies or runs out of time, or the function raises. Debug messages
-        are passed on. Errors: StartFailedError where the work does not begin.
+        are passed on. An argument that is the very object of the call before, as a table of all sources, is not sent
+        again. Errors: StartFailedError where the work does not begin.
         """
         if self._process is None or self._process.poll() is not None:
             self._start()
+        sent = [None if new is old else (new,) for new, old in zip_longest(arguments, self._sent)][: len(arguments)]
+        self._sent, debug = arguments, _LOG.isEnabledFor(logging.DEBUG)
         with contextlib.suppress(OSError):  # it has ended, as is found next
-            self._connection.send((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
+            self._connection.send((function, sent, self._settings.timeout_s, debug))
         kind, value = self._receive(START_TIMEOUT_S)
         if kind == "failed":
             raise StartFailedError(value)
@@ -135,6 +140,7 @@ class IsolatedProcess:
 
     def _start(self) -> None:
         self.close()
+        self._sent = ()
         here, there = Pipe(duplex=True)
         self._connection: Connection[Any, Any] = self._open.enter_context(here)
         try:
@@ -228,12 +234,14 @@ def serve() -> None:
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     _bound_memory(int(sys.argv[2]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    arguments = list[Any]()
     while True:
         try:
-            function, arguments, timeout_s, debug = connection.recv()
+            function, sent, timeout_s, debug = connection.recv()
         except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
             _remove_scratch()
             return
+        arguments = [old if new is None else new[0] for new, old in zip_longest(sent, arguments)][: len(sent)]
         os.ftruncate(sys.stderr.fileno(), 0)
         os.lseek(sys.stderr.fileno(), 0, os.SEEK_SET)
         _log_to(connection, debug=debug)

@@ -88,9 +88,7 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
 
     Files of the scene that are no regular files, or larger than a reader takes, alone or together, are named instead.
     """
-    files: dict[str, bytes] = {}
-    left_out: list[str] = []
-    folder = bundle.folder
+    files, left_out, folder = dict[str, bytes](), list[str](), bundle.folder
     source = folder if isinstance(folder, Source) else None
     if isinstance(folder, Source):  # what is read of it
         there = source_files(folder)

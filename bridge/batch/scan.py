@@ -159,8 +159,7 @@ def rooms(routes: Routes) -> dict[Policy, float]:
         return [found[1] - found[0] for offer, found in pairs if found is not None and found[0] <= offer.start_m]
 
     def metres(ways: Callable[[LaneSegment], list[float]], needed_m: float) -> float:
-        each = (min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes)
-        return round(sum(each), 1)
+        return round(sum(min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes), 1)
 
     change_m, overtake_m = routes.scene.config.lane_change.min_remaining_m, stretch_m(routes.scene.config)
     return {Policy.LANE_CHANGE: metres(beside, change_m), Policy.OVERTAKE: metres(to_pass, overtake_m)}

@@ -108,3 +108,24 @@ def test_debug_messages_of_the_child_are_the_callers_where_it_wants_them(
             assert list(process.stream("faults:talkative", "scene", (1, 2))) == [1, 2]
         heard = [record.getMessage() for record in caplog.records if record.name == "hid2.insertion.filling"]
         assert heard == ["scene: 1", "scene: 2"], "nothing at the second level"
+
+
+class Table:
+    """Reads as (7,) in another process, and counts how often it is sent."""
+
+    sent = 0
+
+    def __reduce__(self) -> tuple[type[tuple[int]], tuple[tuple[int]]]:
+        """As pickle has it."""
+        Table.sent += 1
+        return tuple, ((7,),)
+
+
+def test_argument_of_the_call_before_is_sent_again_to_a_new_process_alone(process: IsolatedProcess) -> None:
+    table = Table()
+    assert [list(process.stream("itertools:chain", table, (n,))) for n in (1, 2)] == [[7, 1], [7, 2]]
+    assert Table.sent == 1
+    process.close()
+    assert list(process.stream("itertools:chain", table)) == [7]
+    assert list(process.stream("itertools:chain", (8,), table)) == [8, 7]
+    assert Table.sent == 3
