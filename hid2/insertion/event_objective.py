@@ -64,8 +64,7 @@ class Objective:
         gap_m = np.abs(ahead) - 0.5 * (track.size.length_m + target.track.size.length_m)
         bands = [(np.asarray(at * self.scene.step_s, dtype=np.float64), self._at_band_s)]
         if event.kind != "cross":
-            faster_mps = np.asarray(track.speed - target.speed[at], dtype=np.float64)
-            bands.append((faster_mps, event.difference_band_mps))
+            bands.append((np.asarray(track.speed - target.speed[at], dtype=np.float64), event.difference_band_mps))
             if event.kind != "merge":  # the gaps of these are not along the target's heading
                 bands.append((gap_m, event.gap_band_m))
         if event.kind in ("cut_in", "overtake"):
@@ -73,6 +72,10 @@ class Objective:
         if event.kind in ("lead", "follow"):
             aside = np.abs(offset[:, 1] * forward[:, 0] - offset[:, 0] * forward[:, 1])
             bands += [(aside, (0.0, _ASIDE_M)), (ahead if event.kind == "lead" else -ahead, (0.0, math.inf))]
+        braked = np.maximum.accumulate(-np.gradient(track.speed, self.scene.step_s))
+        if event.brakes_mps2 and braked[-1] > 0.5 * event.brakes_mps2:  # from the moment on
+            begins = np.searchsorted(braked, 0.5 * event.brakes_mps2) - np.arange(at.size)
+            bands.append((np.asarray(begins * self.scene.step_s, dtype=np.float64), (0.0, MOMENT_S)))
         within = target.present[at] & np.logical_and.reduce([(low <= x) & (x <= high) for x, (low, high) in bands])
         off = np.max([_off(x, band) for x, band in bands[:3]], axis=0)
         return int(at[np.argmin(np.where(within, off, np.inf))]) if within.any() else None
@@ -121,13 +124,11 @@ class Objective:
 
     def _off_criticality(self, seen: Seen) -> float:
         event, found = self.event, seen.measures
-        off = max(
-            _off_by(found.min_ttc_s, event.ttc_s), _off_by(found.pet_s, event.pet_s),
+        braking = abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - _BRAKES_SHARE) if event.brakes_mps2 else 0.0
+        return max(
+            braking, _off_by(found.min_ttc_s, event.ttc_s), _off_by(found.pet_s, event.pet_s),
             _off_by(found.drac_mps2, event.drac_mps2),
         )  # fmt: skip
-        if not event.brakes_mps2:
-            return off
-        return max(off, abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - _BRAKES_SHARE))
 
 
 def _off_by(value: float | None, band: tuple[float, float] | None) -> float:

@@ -381,8 +381,7 @@ def _found_none(policy: Policy, sites: InsertionSites, refused: Counter[Reason])
     """Why no site was found: what most of those looked at were turned down for, rather than for being taken."""
     if policy is Policy.OVERTAKE and sites.overtakes.found_none is not None:
         return sites.overtakes.found_none
-    ranked = sorted(refused, key=lambda reason: (reason is Reason.NO_SITE, -refused[reason]))
-    return ranked[0] if ranked else Reason.NO_CELL_IN_REACH
+    return min(refused, key=lambda one: (one is Reason.NO_SITE, -refused[one]), default=Reason.NO_CELL_IN_REACH)
 
 
 def _needs(vehicle: DrivenVehicle, scene: Scene) -> set[str]:

@@ -63,7 +63,7 @@ def test_event_is_as_asked_in_the_exported_positions(arterial: PreparedScene, as
     if "brakes_mps2" in asked:
         braking = -np.gradient(np.hypot(*np.gradient(own.position, 0.1, axis=0).T), 0.1)
         assert 3.15 <= braking[at:].max() <= 4.1
-        assert braking[: at - 10].max() < 1.0
+        assert braking[: at - 6].max() < 2.0 < braking[: at + 7].max()
         assert event.brakes_mps2 == pytest.approx(braking[at:].max(), abs=0.2)
 
 
