@@ -72,7 +72,7 @@ class Objective:
         if event.kind in ("lead", "follow"):
             aside = np.abs(offset[:, 1] * forward[:, 0] - offset[:, 0] * forward[:, 1])
             bands += [(aside, (0.0, _ASIDE_M)), (ahead if event.kind == "lead" else -ahead, (0.0, math.inf))]
-        braked = np.maximum.accumulate(-np.gradient(track.speed, self.scene.step_s))
+        braked = np.maximum.accumulate(-np.gradient(track.speed, self.scene.step_s)) if at.size > 1 else np.zeros(1)
         if event.brakes_mps2 and braked[-1] > 0.5 * event.brakes_mps2:  # from the moment on
             begins = np.searchsorted(braked, 0.5 * event.brakes_mps2) - np.arange(at.size)
             bands.append((np.asarray(begins * self.scene.step_s, dtype=np.float64), (0.0, MOMENT_S)))

@@ -65,8 +65,8 @@ def test_cost_is_the_distance_from_the_middle_over_half_of_the_band(gap_m: tuple
 
 @pytest.mark.parametrize("track", [
     recorded(118.5, 3.5, 8.0, name="e"), recorded(81.5, 0.0, 8.0, name="e"), recorded(160.0, 0.0, 8.0, name="e"),
-    recorded(118.5, 0.0, 15.0, name="e"),
-], ids=["beside", "behind", "too far", "too fast"])  # fmt: skip
+    recorded(118.5, 0.0, 15.0, name="e"), recorded(118.5, 0.0, 8.0, first=109, name="e"),
+], ids=["beside", "behind", "too far", "too fast", "too late, for a step"])  # fmt: skip
 def test_what_does_not_lead_as_asked_is_not_seen(track: Track) -> None:
     assert _objective(at_s=(1.0, 2.0)).seen(track) is None
 
