@@ -49,7 +49,7 @@ class SceneFacts(NamedTuple):
     straight_m: Annotated[float, "length of all VEHICLE lanes, m"]
     lane_change_m: Annotated[float, "room for a lane change: m of VEHICLE lane from which one has the length it needs"]
     overtake_m: Annotated[float, "room for an overtake: the same for out, past and back"]
-    left_turns: Annotated[int, "room for left turns: lanes that turn left and can be entered within the map"]
+    left_turns: Annotated[int, "room for left turns: lanes that turn left, with lanes before and behind"]
     right_turns: Annotated[int, "the same to the right"]
     events: Annotated[
         str,
@@ -119,7 +119,7 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
     vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
     drivable = {lane.lane_id for lane in lanes}
-    turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
+    within = [lane for lane in lanes if graph.predecessors(lane.lane_id) and graph.successors(lane.lane_id)]
     room, mine = rooms(routes), [name for name, policy in own.items() if routes.map_offers(policy)]
     return SceneFacts(
         folder=folder,
@@ -137,8 +137,8 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
         straight_m=round(sum(lane.length_m for lane in lanes), 1),
         lane_change_m=room[Policy.LANE_CHANGE],
         overtake_m=room[Policy.OVERTAKE],
-        left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
-        right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
+        left_turns=sum(lane.turn is TurnType.LEFT for lane in within),
+        right_turns=sum(lane.turn is TurnType.RIGHT for lane in within),
         events=" ".join([*offered_events(here, [name for name in asked if name not in own]), *mine]),
         shift_m=round(figures_of(scenario).shift_m, 1),
     )
