@@ -155,7 +155,7 @@ class InferredSignals:
         more than _CROSSING_S away; that of cross traffic to come only up to itself, as the light has turned since.
         """
         before_s, flow = self.params.before_s, self._spread(crossed, 0.0, self.params.after_s)
-        amber = (before_s > 0.0) & self._spread(aside, before_s + AMBER_S, 0.0)  # 0: none of an event's target
+        amber = (before_s > 0.0) & self._spread(aside, before_s + AMBER_S, 0.0)  # 0 in events that meet what crosses
         to_come, close = self._spread(crossed, before_s, 0.0) | amber, self._spread(crossed, _CROSSING_S, _CROSSING_S)
         entering, green = (self._spread(entered, _ENTRY_BEFORE_S, after_s) for after_s in (0.0, _ENTRY_AFTER_S))
         return close | ((flow | queued) & ~green) | (to_come & ~entering)
