@@ -104,14 +104,14 @@ class IsolatedProcess:
 
         The last one is a `Failure` where the process dies or runs out of time, or the function raises. Debug messages
         are passed on. An argument that is the very object of the call before, as a table of all sources, is not sent
-        again. Errors: StartFailedError where the work does not begin.
+        again, so that functions change none of theirs. Errors: StartFailedError where the work does not begin.
         """
         if self._process is None or self._process.poll() is not None:
             self._start()
         sent = [None if new is old else (new,) for new, old in zip_longest(arguments, self._sent)][: len(arguments)]
-        self._sent, debug = arguments, _LOG.isEnabledFor(logging.DEBUG)
         with contextlib.suppress(OSError):  # it has ended, as is found next
-            self._connection.send((function, sent, self._settings.timeout_s, debug))
+            self._connection.send((function, sent, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
+        self._sent = arguments
         kind, value = self._receive(START_TIMEOUT_S)
         if kind == "failed":
             raise StartFailedError(value)

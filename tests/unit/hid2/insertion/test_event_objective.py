@@ -74,20 +74,17 @@ def test_what_does_not_lead_as_asked_is_not_seen(track: Track) -> None:
 def test_a_leader_that_does_not_brake_as_asked_costs_more_than_one_that_does() -> None:
     """Asked 2 m/s2, within a fifth: braking with 2 m/s2 costs nothing, with 1.6 it is at the end of what counts."""
     objective = _objective(at_s=(2.0, 2.0), gap_m=(0.0, 28.0), speed_difference_mps=(-9.0, 9.0), brakes_mps2=2.0)
-    steady = recorded(118.5, 0.0, 8.0, name="e")
-    seen = objective.seen(steady)
+    seen = objective.seen(recorded(118.5, 0.0, 8.0, name="e"))
     assert seen is not None
     assert objective.cost(seen) > 1.0
     for braked_mps2, cost in ((2.0, 0.0), (1.6, 1.0)):
-        measures = replace(seen.measures, brakes_mps2=braked_mps2)
-        asked = replace(seen, measures=measures)
+        asked = replace(seen, measures=replace(seen.measures, brakes_mps2=braked_mps2))
         assert objective.cost(asked) == pytest.approx(cost, abs=1e-6)
 
 
 def test_who_crosses_first_is_told() -> None:
     """The target is at x = 150 at 6.25 s; one along +y at 10 m/s from y = -40.5 is at y = 0 after 4 s, before it."""
-    across = recorded(150.0, -40.5, 10.0, heading=np.pi / 2, name="e")
-    seen = _objective(kind="cross", at_s=(4.0, 4.0)).seen(across)
+    seen = _objective(kind="cross", at_s=(4.0, 4.0)).seen(recorded(150.0, -40.5, 10.0, heading=np.pi / 2, name="e"))
     assert seen is not None
     assert (seen.at_step, seen.order) == (40, 1)
     assert seen.measures.gap_m == pytest.approx(0.1 * 8.0 * 22 - 2.25, abs=0.9)
