@@ -16,8 +16,8 @@ class Reason(StrEnum):
         return member
 
     # what the map or the request says, before anything is simulated
-    MAP_OFFERS_NO_LEFT_TURN = auto(), "The map has no left-turn lane that a route can take in time."
-    MAP_OFFERS_NO_RIGHT_TURN = auto(), "The map has no right-turn lane that a route can take in time."
+    MAP_OFFERS_NO_LEFT_TURN = auto(), "The map has no left-turn lane that a route can take and leave in time."
+    MAP_OFFERS_NO_RIGHT_TURN = auto(), "The map has no right-turn lane that a route can take and leave in time."
     MAP_OFFERS_NO_LANE_CHANGE = auto(), "The map has no lane beside another to change to."
     MAP_OFFERS_NO_OVERTAKE = auto(), "The map has no lane beside another that lasts for an overtake."
     NO_OVERTAKE_FORESEEN = (
@@ -117,7 +117,7 @@ class Reason(StrEnum):
     RETURNED_BEHIND = auto(), "The vehicle returned behind its leader."
     OBSTACLE_AVOIDANCE = auto(), "Done, but the leader stood all the while: obstacle avoidance."
     NOT_AS_ASKED = auto(), "The manoeuvre came about, but not as `is_shown` of a behaviour of your own asks for."
-    TURN_NOT_SEEN = auto(), "The vehicle drove the turn lane, but its heading does not turn by 30 degrees."
+    TURN_NOT_SEEN = auto(), "On the turn lane its heading does not turn by 30 degrees after it began."
     # why a driven vehicle was not exported
     LEAVES_TOO_EARLY = auto(), "The vehicle leaves the map before the last observed timestep."
     OFF_ROAD = auto(), "Its footprint leaves the drivable area."
