@@ -25,7 +25,7 @@ def _option(default: Any, unit: str, says: str, metavar: str, **more: Any) -> An
 
 _FUNCTION = Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", examples=["module:function"])
 _OWN = r"[A-Za-z_][\w.]*:[A-Za-z_]\w*=(0?\.[0-9]+|[01](\.0*)?)"  # module:behaviour=share
-_ARGUMENT = r"[A-Za-z_]\w*=-?[0-9]+(\.[0-9]*)?(e[+-]?[0-9]+)?"
+_ARGUMENT = r"[A-Za-z_]\w*=-?[0-9]+(\.[0-9]*)?(e[+-]?[0-9]{1,2})?"
 #: What rules of the tool read of `lane_change.rule_with`, on roads without recorded agents.
 _READ_OF_RULE_WITH = {"paper": {"incentive"}, "MOBIL": set[str](), "LC2013": {"keep_right"}}
 _ARGUMENTS = Field(pattern=rf"^({_ARGUMENT}(, *{_ARGUMENT})*)?$", examples=["name=number, ..."])
