@@ -91,7 +91,7 @@ def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(degrees: float, 
 def test_light_has_turned_when_cross_traffic_starts(x: float, y: float, first: int) -> None:
     """All start at step 60. 28 m from lane 2's ground: red from 60 - 35 on; 42 m from it, there at 102: from 102 - 35.
 
-    An opposite vehicle may have waited for a gap: it turns left at (10, 0) at step 76, red from 76 - 20 on; from afar at 96.
+    An opposite one may have waited for a gap: it turns left at (10, 0) at step 76, red from 76 - 20 on; or at step 96.
     """
     scene = signals(_along("a", [(x, y), *[(10.0, 0.0)] * (x > 10.0), (10.0, 40.0)], wait_steps=60))
     assert _steps(scene.red(2)) == list(range(first, STEPS))
