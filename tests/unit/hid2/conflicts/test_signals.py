@@ -109,11 +109,8 @@ def test_who_turns_off_from_the_same_approach_does_not_cross() -> None:
     turn = [(0.0, 0.0), (6.0, 0.0), (6.0, -40.0)]
     assert not signals(_along("a", [(-50.0, 0.0), *turn])).red(2).any()
     assert signals(_along("a", [(6.0, 30.0), (6.0, -40.0)])).red(2).any()
-    beside = [  # 9 is of the same approach, and turns left
-        draw_lane(1, [(-50, 0), (0, 0)], successors=(2, 7), right=9),
-        draw_lane(9, [(-50, -3.5), (0, -3.5)], successors=(10,), left=1),
-        draw_lane(10, [(0, -3.5), (10, -3.5), (10, 10)], is_intersection=True),
-    ]
+    lane_9 = draw_lane(9, [(-50, -3.5), (0, -3.5)], left=1)  # of the same approach
+    beside = (draw_lane(1, [(-50, 0), (0, 0)], successors=(2, 7), right=9), lane_9)
     left = _along("a", [(-50.0, -3.5), (10.0, -3.5), (10.0, 40.0)])
     assert not signals(left, lanes=(*LANES[1:], *beside)).red(2).any()
 
