@@ -68,13 +68,13 @@ def test_cross_traffic_makes_red_two_seconds_before_with_amber_before_that_and_t
     """From (10, -50) at 1 m a step: y = step - 50. Lane 2's ground counts with 0.8 of its width, 1.4 m to each side.
 
     The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 - 15 to 53 + 30. Where no time is
-    asked for before it there is no amber either. One that is there at step 5 makes red from the beginning on.
+    asked for before it there is no amber either. One that is there at step 2 makes red from the beginning on.
     """
     scene = signals(CROSSES)
     assert _steps(scene.red(2)) == list(range(12, 84))
     assert "".join(scene.shown(2)) == "g" * 12 + "y" * 15 + "r" * 57 + "g" * (STEPS - 84)
     assert _steps(replace(scene, params=Signals(before_s=0.0, after_s=2.3)).red(2)) == list(range(37, 77))
-    assert _steps(signals(recorded(10.0, -8.0, 10.0, heading=np.pi / 2)).red(2)) == list(range(42))
+    assert _steps(signals(recorded(10.0, -5.0, 10.0, heading=np.pi / 2)).red(2)) == list(range(39))
     assert _steps(scene.red(5)) == []
     assert _steps(entries(scene, 5)) == [41]  # the first centre above y = -10
 
