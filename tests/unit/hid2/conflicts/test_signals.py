@@ -187,7 +187,7 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance() -> None:
     lanes = [
         draw_lane(1, [(-50, 0), (0, 0)], successors=(2,)),
         draw_lane(2, [(0, 0), (8, 0)], successors=(9,), is_intersection=True),
-        draw_lane(9, [(8, 0), (30, 0)], successors=(2,), is_intersection=True),
+        draw_lane(9, [(8, 0), (30, 0)], is_intersection=True),
         draw_lane(11, [(0, 40), (8, 40)], is_intersection=True),
     ]
     scene = signals(recorded(20.0, -50.0, 10.0, heading=np.pi / 2), lanes=lanes)
