@@ -128,6 +128,7 @@ def test_argument_of_the_call_before_is_sent_again_to_a_new_process_alone(proces
     process.close()
     assert list(process.stream("itertools:chain", table)) == [7]
     assert list(process.stream("itertools:chain", (8,), table)) == [8, 7]
+    assert list(process.stream("itertools:chain", (9,))) == [9]
     assert Table.sent == 3
     for unsent in [(n for n in ())] * 2:
         with pytest.raises(TypeError, match="cannot pickle"):

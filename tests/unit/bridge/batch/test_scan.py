@@ -95,7 +95,7 @@ def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Pat
     facts = {name: describe_scene((), folder) for name, folder in data_scenes.items()}
     assert min(facts["arterial"].lane_change_m, facts["arterial"].overtake_m) > 500
     assert min(facts["intersection"].left_turns, facts["intersection"].right_turns) >= 4
-    assert facts["curve"].lane_change_m > 0
+    assert facts["curve"].lane_change_m == pytest.approx(304.0 + 296.0 - 2 * 25.0, abs=0.2)  # two lanes, one way
     assert describe_scene(("lead:focal",), data_scenes["arterial"]).events == "lead:focal"
     assert {found.events for found in facts.values()} == {""}
     assert all(found.at_49 <= found.tracks and found.moving <= found.vehicles for found in facts.values())

@@ -84,6 +84,7 @@ def test_seeds_needed_are_those_of_the_paired_t_test() -> None:
     assert found[1] == 12
     assert difference_sd(_requests(-0.3, runs=2), "p") is None
     requests = _requests(-0.3)
+    assert difference_sd(requests.assign(p=np.array(["c", "b", "d"])[requests["point"]]), "p") == found
     other = requests.assign(scene="b", counted=False)  # adds no run to a seed
     assert _seeds_line(pd.concat([requests, other]), "p") == _seeds_line(requests, "p")
 
@@ -172,9 +173,12 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
     that the study has first: by the alphabet rule, the second, would have no difference.
     """
     for slope, excluded in ((0.0, False), (-0.3, True)):
-        dose = dose_response(_requests(slope), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+        requests = _requests(slope).assign(point=lambda rows: 2 - rows["point"])  # numbers are in their own order
+        dose = dose_response(requests, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
         last = dose[(dose["outcome"] == "share_accepted") & (dose["value"] == 1.0)].iloc[0]
-        assert bool(last["difference_high_runs"] < 0.0) is excluded
+        assert bool(last["difference_low_runs"] < last["difference_high_runs"] < 0.0) is excluded
+        gap = dose[dose["outcome"] == "lag_time_gap_s"]
+        assert gap["low_runs"].tolist() == gap["high_runs"].tolist() == pytest.approx([2.0, 2.5, 3.0])
         assert last["rows"] == 240
         assert (last["difference"] == 0.0) is not excluded  # the same luck at every value: nothing differs at all
     first = dose.drop_duplicates("outcome").set_index("outcome")
@@ -227,7 +231,7 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
     looks += [_look("v3", 1.1, "d", 0.5, None, "rear_gap"), _look("v4", 1.1, "e", 3.0, "yes", "yes")]
     gaps = gaps_of(pd.DataFrame(looks), []).assign(p=0.0)
     assert gaps["refused_by"].tolist() == ["cells", "rule", "guard", "rule", ""]
-    dose = dose_response(_requests(0.0).assign(p=0.0), gaps, "p", give_up_s=6.0, critical_ttc_s=1.5)
+    dose = dose_response(_requests(0.0), gaps, "p", give_up_s=6.0, critical_ttc_s=1.5)
     taken = dose[dose["outcome"] == "gaps_taken"]
     assert (taken["estimate"].tolist(), taken["rows"].tolist()) == (pytest.approx([1 / 3]), [3])
     found = dose.set_index("outcome").loc[[f"refused_by_{name}" for name in ("sumo", "guard", "rule", "cells", "road")]]

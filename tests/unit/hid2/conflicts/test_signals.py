@@ -67,11 +67,14 @@ def _steps(red: np.ndarray | None) -> list[int]:
 def test_cross_traffic_makes_red_two_seconds_before_with_amber_before_that_and_three_after() -> None:
     """From (10, -50) at 1 m a step: y = step - 50. Lane 2's ground counts with 0.8 of its width, 1.4 m to each side.
 
-    The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 - 15 to 53 + 30.
+    The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 - 15 to 53 + 30. Where no time is
+    asked for before it there is no amber either. One that is there at step 2 makes red from the beginning on.
     """
     scene = signals(CROSSES)
     assert _steps(scene.red(2)) == list(range(12, 84))
     assert "".join(scene.shown(2)) == "g" * 12 + "y" * 15 + "r" * 57 + "g" * (STEPS - 84)
+    assert _steps(replace(scene, params=Signals(before_s=0.0, after_s=2.3)).red(2)) == list(range(37, 77))
+    assert _steps(signals(recorded(10.0, -5.0, 10.0, heading=np.pi / 2)).red(2)) == list(range(39))
     assert _steps(scene.red(5)) == []
     assert _steps(entries(scene, 5)) == [41]  # the first centre above y = -10
 
@@ -84,18 +87,19 @@ def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(degrees: float, 
     assert bool(scene.red(2).any()) is red
 
 
-@pytest.mark.parametrize(("x", "y", "first"), [(10.0, -20.0, 25), (10.0, -45.0, 67), (26.0, 0.0, 56)])
+@pytest.mark.parametrize(("x", "y", "first"), [(10.0, -32.0, 25), (10.0, -45.0, 67), (26.0, 0.0, 56), (46.0, 0.0, 76)])
 def test_light_has_turned_when_cross_traffic_starts(x: float, y: float, first: int) -> None:
-    """All start at step 60. 17 m from lane 2's ground: red from 60 - 35 on; 42 m from it, there at 102: from 102 - 35.
+    """All start at step 60. 28 m from lane 2's ground: red from 60 - 35 on; 42 m from it, there at 102: from 102 - 35.
 
-    An opposite vehicle may have waited for a gap: it turns left at (10, 0) at step 76, red from 76 - 20 on.
+    An opposite one may have waited for a gap: it turns left at (10, 0) at step 76, red from 76 - 20 on; or at step 96.
     """
     scene = signals(_along("a", [(x, y), *[(10.0, 0.0)] * (x > 10.0), (10.0, 40.0)], wait_steps=60))
     assert _steps(scene.red(2)) == list(range(first, STEPS))
 
 
 def test_slow_or_parked_boxes_are_no_cross_traffic() -> None:
-    """0.9 m/s across the lane is no flow; a box that stands on the crossing's ground is none either."""
+    """0.9 m/s across the lane is no flow; a box that stands on the crossing's ground is none, from step 49 on."""
+    assert _steps(signals(_along("a", [(10.0, -50.0), (10.0, -2.0)])).red(2))[-1] == 48 + 30
     assert not signals(recorded(10.0, -5.0, 0.9, heading=np.pi / 2)).red(2).any()
     assert not signals(recorded(10.0, -2.0, heading=np.pi / 2)).red(2).any()
 
@@ -105,6 +109,10 @@ def test_who_turns_off_from_the_same_approach_does_not_cross() -> None:
     turn = [(0.0, 0.0), (6.0, 0.0), (6.0, -40.0)]
     assert not signals(_along("a", [(-50.0, 0.0), *turn])).red(2).any()
     assert signals(_along("a", [(6.0, 30.0), (6.0, -40.0)])).red(2).any()
+    lane_9 = draw_lane(9, [(-50, -3.5), (0, -3.5)], left=1)  # of the same approach
+    beside = (draw_lane(1, [(-50, 0), (0, 0)], successors=(2, 7), right=9), lane_9)
+    left = _along("a", [(-50.0, -3.5), (10.0, -3.5), (10.0, 40.0)])
+    assert not signals(left, lanes=(*LANES[1:], *beside)).red(2).any()
 
 
 @pytest.mark.parametrize(
@@ -159,7 +167,7 @@ def test_straight_on_is_red_while_the_opposite_queue_stands(y: float, red: int) 
         draw_lane(13, [(0, y), (-50, y)]),
     ]
     scene = signals(_along("a", [(25.0, y), (-50.0, y)], wait_steps=30), lanes=(*LANES, *west))
-    assert _steps(scene.red(12)) == list(range(26))
+    assert "".join(scene.shown(12)) == "y" * 15 + "r" * 11 + "g" * (STEPS - 26)
     assert _steps(scene.red(2)) == list(range(red))
     assert _steps(scene.red(7)) == []
 

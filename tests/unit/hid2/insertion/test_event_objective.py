@@ -77,9 +77,28 @@ def test_a_leader_that_does_not_brake_as_asked_costs_more_than_one_that_does() -
     seen = objective.seen(recorded(118.5, 0.0, 8.0, name="e"))
     assert seen is not None
     assert objective.cost(seen) > 1.0
+<<<<<<< HEAD
     for braked_mps2, cost in ((2.0, 0.0), (1.6, 1.0)):
         asked = replace(seen, measures=replace(seen.measures, brakes_mps2=braked_mps2))
+=======
+    for braked_mps2, cost in ((2.0, 0.0), (1.6, 1.0), (2.4, 1.0)):
+        measures = replace(seen.measures, brakes_mps2=braked_mps2)
+        asked = replace(seen, measures=measures)
+>>>>>>> cb1502d76ef611b85a27f5af79020cb5706fb34e
         assert objective.cost(asked) == pytest.approx(cost, abs=1e-6)
+    for name, measure in (("ttc_s", "min_ttc_s"), ("pet_s", "pet_s"), ("drac_mps2", "drac_mps2")):
+        event = objective.event.model_copy(update={"brakes_mps2": 0.0, name: (1.0, 3.0)})
+        each = [replace(seen, measures=replace(seen.measures, **{measure: value})) for value in (2.0, 3.0)]
+        assert [replace(objective, event=event).cost(one) for one in each] == pytest.approx([0.0, 1.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(("at_s", "step"), [((1.0, 4.0), 35), ((1.0, 9.0), 40)])
+def test_a_leader_brakes_within_half_a_second_from_the_moment_on(at_s: tuple[float, float], step: int) -> None:
+    """It brakes from step 40 to 50; the middle of what is asked is step 25, too early, or 50, too late."""
+    v = 8.0 - 2.4 * np.clip(0.1 * np.arange(110) - 4.0, 0.0, 1.0)
+    track = replace(recorded(118.5, 0.0, 8.0, name="e"), velocity=np.column_stack([v, np.zeros(110)]))
+    asked = _objective(at_s=at_s, gap_m=(0.0, 28.0), speed_difference_mps=(-9.0, 9.0), brakes_mps2=2.0)
+    assert asked.likely_step(track) == step
 
 
 def test_who_crosses_first_is_told() -> None:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_road
-from inserted import changing, driven, scene_on
+from inserted import changing, driven, scene_on, sites_of
 
 from hid2.agents import Policy
-from hid2.insertion.filling import Filling
+from hid2.insertion.filling import Filling, _found_none
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.sites import TurnedDown
 from hid2.insertion.starts import Site, Starts
@@ -212,6 +212,10 @@ def test_reason_of_a_manoeuvre_without_a_site_is_what_turns_most_down_rather_tha
     lane_changes = [one.reason for one in filling.unmet if one.request.policy is Policy.LANE_CHANGE]
     assert lane_changes
     assert set(lane_changes) == {Reason.TOO_SLOW}
+    sites = sites_of(scene_for())
+    refused = Counter({Reason.NO_SITE: 9, Reason.TTC_AT_END: 1, Reason.TOO_SLOW: 2})
+    assert _found_none(Policy.LANE_CHANGE, sites, refused) is Reason.TOO_SLOW
+    assert _found_none(Policy.LANE_CHANGE, sites, Counter()) is Reason.NO_CELL_IN_REACH
 
 
 def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(monkeypatch: pytest.MonkeyPatch) -> None:

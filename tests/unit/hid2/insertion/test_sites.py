@@ -177,13 +177,14 @@ def test_without_collision_checks_no_start_asks_where_others_have_been() -> None
 
 
 @pytest.mark.parametrize(
-    ("on_m", "is_offered", "is_made"), [(0.0, False, False), (2.0, True, False), (40.0, True, True)]
+    ("on_m", "is_offered", "is_made"), [(0.0, False, False), (3.0, True, False), (40.0, True, True)]
 )
 def test_turn_is_done_where_the_map_goes_on_behind_it(on_m: float, is_offered: bool, is_made: bool) -> None:
     """None is seen where the map ends with it, or so near that the front is there while the middle is in the turn."""
     sites = sites_of(_left_turn_scene(60.0, on_m))
     routes = sites.here.routes
     assert routes.map_offers(Policy.LEFT_TURN) is is_offered
+    assert sites._promises(_request(0, Policy.LEFT_TURN), routes.offers(1)[0], 35.0, 9.0, strict=True) is is_offered
     made = sites.starts.make(_request(0, Policy.LEFT_TURN), Site(routes.offers(1)[0], 20.0), driver=DRIVER)
     assert isinstance(made, Start) if is_made else made is Reason.SCENE_ENDED
 
@@ -193,6 +194,22 @@ def test_turn_is_seen_from_its_beginning(s: float, reason: Reason | None) -> Non
     sites = sites_of(_left_turn_scene(60.0))
     made = sites.starts.make(_request(0, Policy.LEFT_TURN), Site(sites.here.routes.offers(1)[0], s), driver=DRIVER)
     assert made is reason if reason else isinstance(made, Start)
+
+
+def test_what_a_place_promises() -> None:
+    """A turn of 23.5 m at 60 or 200 m, at 9 m/s for 10.9 s: strictly (60 - s) / 6.75 + 23.5 / 5 + 2 s of them."""
+
+    def promised(policy: Policy, at_m: float, *from_m: float, strict: bool = True) -> list[bool]:
+        sites, request = sites_of(_left_turn_scene(at_m)), _request(0, policy)
+        (offer,) = sites.here.routes.offers(1)
+        meets = [sites._meets_junction(offer, at_m + at, at_m + at + 5) for at in (-6, -4, 22, 24)]
+        assert meets == [False, True, True, False]
+        return [sites._promises(request, offer, s, 9.0, strict=strict) for s in from_m]
+
+    assert promised(Policy.LEFT_TURN, 60, 20, 35, 56) == [False, True, False]
+    assert promised(Policy.LEFT_TURN, 60, 20, 56, 61, strict=False) == [True, True, False]
+    assert promised(Policy.LEFT_TURN, 200, 20, strict=False) == promised(Policy.RIGHT_TURN, 60, 35) == [False]
+    assert promised(Policy.STRAIGHT, 60, 20, 61) + promised(Policy.STRAIGHT, 200, 20) == [False, False, True]
 
 
 @pytest.mark.parametrize(("policy", "times"), [(Policy.LANE_CHANGE, 4), (Policy.STRAIGHT, 2)])
@@ -226,8 +243,12 @@ def test_turn_behind_a_red_line_says_that_the_vehicle_waits(
     assert made is reason
 
 
-@pytest.mark.parametrize(("slow_m", "refused"), [(40.0, True), (85.0, False)])
-def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, slow_m: float, refused: bool) -> None:
+@pytest.mark.parametrize(
+    ("slow_m", "end_m", "reason"), [(40, 170, Reason.TOO_SLOW), (85, 170, None), (140, 230, Reason.SCENE_ENDED)]
+)
+def test_none_is_to_stop_astride_of_two_lanes(
+    monkeypatch: pytest.MonkeyPatch, slow_m: float, end_m: float, reason: Reason | None
+) -> None:
     """Across from 120 to 170 m: at 1.5 m/s for 20 m, too slow to shift, 40 m after the start at 100 m, or past it."""
     scene = scene_of()
     starts, act = sites_of(scene).starts, World.roll_manoeuvre
@@ -235,7 +256,7 @@ def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, s
     def slowed(world: World, start: Start) -> Any:
         vehicle, parts = act(world, start)
         s, v = parts[-1].s, np.where(np.abs(parts[-1].s - 100.0 - slow_m) < 10.0, 1.5, 9.0)
-        path = replace(parts[-1].path, lateral_spans=(LateralSpan(120.0, 170.0),))
+        path = replace(parts[-1].path, lateral_spans=(LateralSpan(120.0, end_m),))
         return replace(vehicle, path=path), (*parts[:-1], replace(parts[-1], path=path, s=s, v=v))
 
     monkeypatch.setattr(World, "roll_manoeuvre", slowed)
@@ -244,7 +265,7 @@ def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, s
     made = starts.make(
         request, Site(Surroundings(scene).routes.offers(1)[0], 100.0), driver=replace(DRIVER, desired_mps=10.0)
     )
-    assert (made is Reason.TOO_SLOW) is refused
+    assert made is reason if reason else isinstance(made, Start), made
 
 
 def test_vehicle_does_not_begin_with_braking() -> None:
