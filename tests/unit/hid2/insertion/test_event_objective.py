@@ -77,14 +77,8 @@ def test_a_leader_that_does_not_brake_as_asked_costs_more_than_one_that_does() -
     seen = objective.seen(recorded(118.5, 0.0, 8.0, name="e"))
     assert seen is not None
     assert objective.cost(seen) > 1.0
-<<<<<<< HEAD
-    for braked_mps2, cost in ((2.0, 0.0), (1.6, 1.0)):
-        asked = replace(seen, measures=replace(seen.measures, brakes_mps2=braked_mps2))
-=======
     for braked_mps2, cost in ((2.0, 0.0), (1.6, 1.0), (2.4, 1.0)):
-        measures = replace(seen.measures, brakes_mps2=braked_mps2)
-        asked = replace(seen, measures=measures)
->>>>>>> cb1502d76ef611b85a27f5af79020cb5706fb34e
+        asked = replace(seen, measures=replace(seen.measures, brakes_mps2=braked_mps2))
         assert objective.cost(asked) == pytest.approx(cost, abs=1e-6)
     for name, measure in (("ttc_s", "min_ttc_s"), ("pet_s", "pet_s"), ("drac_mps2", "drac_mps2")):
         event = objective.event.model_copy(update={"brakes_mps2": 0.0, name: (1.0, 3.0)})
