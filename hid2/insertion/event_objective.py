@@ -18,8 +18,8 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 
 #: Tolerance of an event's time, before and after that asked for, s; least share of the braking asked for (the largest
-#: is as far above 1). No tunables: jerk is bounded and positions are smoothed: nothing driven meets a number exactly.
-MOMENT_S, _BRAKES_SHARE = 0.5, 0.8
+#: is as far above 1), and that at which it begins. No tunables: as positions are smoothed, none is met exactly.
+MOMENT_S, _BRAKES_SHARE, _BEGINS_SHARE = 0.5, 0.8, 0.5
 #: Largest lateral offset to the target in lead and follow, m. Not a parameter, it saves time: the judge looks again.
 _ASIDE_M = 2.5
 
@@ -72,10 +72,10 @@ class Objective:
         if event.kind in ("lead", "follow"):
             aside = np.abs(offset[:, 1] * forward[:, 0] - offset[:, 0] * forward[:, 1])
             bands += [(aside, (0.0, _ASIDE_M)), (ahead if event.kind == "lead" else -ahead, (0.0, math.inf))]
-        braked = np.maximum.accumulate(-np.gradient(track.speed, self.scene.step_s)) if at.size > 1 else np.zeros(1)
-        if event.brakes_mps2 and braked[-1] > 0.5 * event.brakes_mps2:  # from the moment on
-            begins = np.searchsorted(braked, 0.5 * event.brakes_mps2) - np.arange(at.size)
-            bands.append((np.asarray(begins * self.scene.step_s, dtype=np.float64), (0.0, MOMENT_S)))
+        if event.brakes_mps2 and at.size > 1:  # it brakes from the moment on
+            hard = np.flatnonzero(-np.gradient(track.speed, self.scene.step_s) > _BEGINS_SHARE * event.brakes_mps2)
+            wait_s = ((hard[0] if hard.size else np.arange(at.size)) - np.arange(at.size)) * self.scene.step_s
+            bands.append((np.asarray(wait_s, dtype=np.float64), (0.0, MOMENT_S)))
         within = target.present[at] & np.logical_and.reduce([(low <= x) & (x <= high) for x, (low, high) in bands])
         off = np.max([_off(x, band) for x, band in bands[:3]], axis=0)
         return int(at[np.argmin(np.where(within, off, np.inf))]) if within.any() else None

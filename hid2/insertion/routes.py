@@ -34,18 +34,27 @@ class Beside:
     start: float
     end: float
     remaining_m: float
-    in_intersection: bool
 
 
 @dataclass(frozen=True, slots=True)
 class RouteOffer:
-    """A route with its run-up: start_m, where the lane that it is for begins; turns: (type, start, end) m."""
+    """A route with its run-up: start_m, where its lane begins; turns (type, start, end) m; junctions (start, end) m."""
 
     route: Route
     start_m: float
     length_m: float
     turns: tuple[tuple[TurnType, float, float], ...]
     beside: tuple[Beside, ...]
+    junctions: tuple[tuple[float, float], ...]
+
+    def next_turn(self, kind: TurnType, s: float = 0.0) -> tuple[float, float]:
+        """Where the next turn, if of a kind, begins and ends, m; inf where not, or where none is seen: the map ends."""
+        turn, begin, end = next((one for one in self.turns if one[2] > s), (None, np.inf, np.inf))
+        return (begin, end) if turn is kind and end < self.length_m else (np.inf, np.inf)
+
+    def meets_junction(self, begin: float, end: float) -> bool:
+        """Whether a stretch, m along the lanes, touches an intersection."""
+        return any(at < end and begin < to for at, to in self.junctions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +89,7 @@ class Routes:
             return True
         kind = BEHAVIOURS[policy].turn
         if kind is not None:
-            first = (one.turns[0] for one in self.offers(lane_id) if one.turns and one.turns[0][2] < one.length_m)
-            return any(turn is kind for turn, _, _ in first)  # where the map ends with it none is seen
+            return any(offer.next_turn(kind)[1] < np.inf for offer in self.offers(lane_id))
         if policy is Policy.OVERTAKE:
             return any(self.together(offer, side) is not None for offer in self.offers(lane_id) for side in SIDES)
         needed_m = self.scene.config.lane_change.min_remaining_m
@@ -145,12 +153,13 @@ class Routes:
             if row > 0 and lanes[route[row]].turn is not TurnType.STRAIGHT
         )
         beside = tuple(
-            Beside(side, starts[row], ends[row], self._beside_m(route[row:], lane), lanes[route[row]].is_intersection)
+            Beside(side, starts[row], ends[row], self._beside_m(route[row:], lane))
             for row in rows
             for side in SIDES
             if (lane := self._neighbor(route[row], side)) is not None
         )
-        return RouteOffer(route, starts[first], ends[-1], turns, beside)
+        junctions = tuple((at, to) for n, at, to in zip(route, starts, ends, strict=True) if lanes[n].is_intersection)
+        return RouteOffer(route, starts[first], ends[-1], turns, beside, junctions)
 
     @once
     def _neighbor(self, lane_id: int, side: Side) -> int | None:

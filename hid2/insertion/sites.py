@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import accumulate, chain
+from itertools import chain
 
 import numpy as np
 
@@ -267,14 +267,11 @@ class InsertionSites:
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
     ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
-        duration = self.here.scene.last_s
-        reach, ahead = s + speed_mps * duration, [one for one in offer.turns if one[2] > s]
-        turn = BEHAVIOURS[request.policy].turn
+        duration, turn = self.here.scene.last_s, BEHAVIOURS[request.policy].turn
+        reach = s + speed_mps * duration
         if turn is not None:
-            if not ahead or ahead[0][0] is not turn or ahead[0][2] >= offer.length_m:
-                return False
-            _, begin, end = ahead[0]
-            if not strict:
+            begin, end = offer.next_turn(turn, s)
+            if not strict or begin >= reach:
                 return s < begin < reach
             to_turn_s = (begin - s) / (_APPROACH_SHARE * speed_mps)
             needs_s = to_turn_s + (end - begin) / _TURN_MPS + _TURN_SPARE_S
@@ -282,7 +279,7 @@ class InsertionSites:
         at = s + PACE_SHARE * speed_mps * request.trigger_s
         if BEHAVIOURS[request.policy].sides:
             return self._offers_change(request, offer, at, speed_mps, strict=strict)
-        return not strict or all(begin >= reach for _, begin, _ in ahead)
+        return not strict or all(begin >= reach or end <= s for _, begin, end in offer.turns)
 
     def _offers_change(
         self, request: VehicleRequest, offer: RouteOffer, at: float, speed_mps: float, *, strict: bool
@@ -298,7 +295,7 @@ class InsertionSites:
             farther_m = _FARTHER_SHARE * speed_mps * request.trigger_s
             across_m = _CHANGE_RATIO * change.min_duration_s * speed_mps
             needed = max(change.min_remaining_m, across_m) + _STRICT_SPARE_S * speed_mps + farther_m
-            if self._meets_junction(offer, at, at + drivers.lane_change_mean_s * speed_mps):
+            if offer.meets_junction(at, at + drivers.lane_change_mean_s * speed_mps):
                 return False  # lane changes outside intersections first
         over = at + change.min_duration_s * speed_mps
         if any(at < end and begin < over for _, begin, end in offer.turns):
@@ -307,16 +304,10 @@ class InsertionSites:
             beside.side for beside in offer.beside
             if beside.side in BEHAVIOURS[request.policy].sides
             and beside.start <= at + waits_m + _BESIDE_M and beside.end > at + _BESIDE_M
-            and not (strict and beside.in_intersection)
+            and not (strict and offer.meets_junction(beside.start, beside.end))
             and beside.remaining_m - max(0.0, at - beside.start) > needed
         }  # fmt: skip
         driver = usual_driver(speed_mps)
         refused = {refusal_of_free_lane(driver, change, speed_mps=speed_mps, side=side) for side in sorted(sides)}
         self.starts.refusals.update(one for one in refused if one is not None and None not in refused)
         return None in refused
-
-    def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
-        """Whether a stretch of a route, m along its lanes, touches an intersection."""
-        lanes = [self.here.scene.grid.graph.lanes[lane_id] for lane_id in offer.route]
-        each = zip(lanes, accumulate((lane.length_m for lane in lanes), initial=0.0), strict=False)
-        return any(lane.is_intersection and at < end and at + lane.length_m > begin for lane, at in each)

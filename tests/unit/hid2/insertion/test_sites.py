@@ -202,7 +202,7 @@ def test_what_a_place_promises() -> None:
     def promised(policy: Policy, at_m: float, *from_m: float, strict: bool = True) -> list[bool]:
         sites, request = sites_of(_left_turn_scene(at_m)), _request(0, policy)
         (offer,) = sites.here.routes.offers(1)
-        meets = [sites._meets_junction(offer, at_m + at, at_m + at + 5) for at in (-6, -4, 22, 24)]
+        meets = [offer.meets_junction(at_m + at, at_m + at + 5) for at in (-6, -4, 22, 24)]
         assert meets == [False, True, True, False]
         return [sites._promises(request, offer, s, 9.0, strict=strict) for s in from_m]
 
