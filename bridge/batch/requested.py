@@ -48,7 +48,8 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
             if isinstance(found, Failure):
                 continue
             seen += 1
-            here = {asked: f"{folder}{', for one' if len(folders) > 1 else ''}: {why}" for asked, why in found.items()}
+            where = f"{folder}, for one" if len(folders) > 1 else f"{folder}"
+            here = {asked: f"{where}: {why}" for asked, why in found.items()}
             never = here if never is None else {asked: why for asked, why in never.items() if asked in here}
             if not never:
                 return
@@ -110,7 +111,8 @@ def came_about_nowhere(rows: Sequence[ManifestRow], config: Config, named: Seque
     nowhere += [
         one for one, kind in kinds.items() if _not_done(done, kind) and not any(getattr(row, kind) for row in done)
     ]
-    return nowhere + ["any vehicle"] * bool(done and config.request.agents != 0 and not any(row.placed for row in done))
+    is_empty = done and config.request.agents != 0 and not any(row.placed for row in done)
+    return [*nowhere, *(["any vehicle"] if is_empty else [])]
 
 
 def _not_done(rows: Sequence[ManifestRow], name: str) -> int:

@@ -20,7 +20,7 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[IsolatedProces
     """One for all tests, which starts again where one has ended it; it works in a folder of its own."""
     with (
         contextlib.chdir(tmp_path_factory.mktemp("isolated")),
-        contextlib.closing(IsolatedProcess(Settings(timeout_s=3.0))) as made,
+        contextlib.closing(IsolatedProcess(Settings(timeout_s=5.0))) as made,
     ):
         yield made
 
@@ -38,7 +38,7 @@ def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(proc
 
 @pytest.mark.parametrize(("fault", "kind", "words"), [
     ("segfault", "crashed", "SIGSEGV"), ("sumo", "crashed", "SIGSEGV"), ("killed", "killed", "SIGKILL"),
-    ("exit", "crashed", "status 3"), ("hang", "timeout", "3 s"), ("deep", "timeout", "3 s"),
+    ("exit", "crashed", "status 3"), ("hang", "timeout", "5 s"), ("deep", "timeout", "5 s"),
     ("signal", "crashed", "(signal 40)"),
     ("raise", "exception", "RuntimeError: fault raise"),
     ("memory", "memory", "more memory than the 4000 MB a scene may take (hid2 generate --scene-memory)"),

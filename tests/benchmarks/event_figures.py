@@ -23,7 +23,7 @@ from typing import get_args
 
 import numpy as np
 from second_checker import check_folder
-from shared_data import SHARED_DATA
+from shared_data import ROOTS
 from unsteered import simulate_unsteered
 
 from bridge.generation.generate import PreparedScene, generate, prepare
@@ -201,8 +201,7 @@ def main() -> None:
     parser.add_argument("--ttc", help="band of TTC asked for, A:B in s")
     parser.add_argument("--pet", help="band of PET asked for of what crosses, in place of that of TTC, A:B in s")
     parser.add_argument("--only", nargs="+", default=[""], help="scenes whose ids begin with one of these")
-    roots = [SHARED_DATA / "av2", SHARED_DATA / "wide"]
-    parser.add_argument("--roots", type=Path, nargs="+", default=roots, help="data-set roots")
+    parser.add_argument("--roots", type=Path, nargs="+", default=ROOTS, help="data-set roots")
     options = parser.parse_args()
 
     def bands(kind: str) -> Bands:

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from shared_data import SHARED_DATA
+from shared_data import ROOTS
 from unsteered import simulate_unsteered, unsteered_start
 
 from bridge.generation.generate import PreparedScene, generate, prepare
@@ -170,7 +170,7 @@ def main() -> None:
     options = parser.parse_args()
     folders = [
         folder
-        for root in options.roots or (SHARED_DATA / "av2", SHARED_DATA / "wide")
+        for root in options.roots or ROOTS
         for folder in find_scenarios(root)
         if folder.name.startswith(tuple(options.only))
     ]
