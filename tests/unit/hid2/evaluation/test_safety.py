@@ -1,6 +1,7 @@
 """Boxes, TTC, PET, footprint, leaders and lanes of the evaluation."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlap
 from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.following import leaders
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.surrogates import encroachments
 from netconvert.lane_graph import LaneGraph
 
@@ -242,3 +244,26 @@ def test_a_track_is_looked_at_from_its_own_last_step_among_those_present_then() 
     everybody = np.ones(scene.num_agents, dtype=bool)
     assert ttc_after_last_step(scene, scene.generated, everybody) == pytest.approx([1.0, np.inf, np.inf])
     assert np.isinf(ttc_after_last_step(scene, everybody, scene.generated)).all()  # among a group of others
+
+
+def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to():
+    """a at 10 m/s along x from 0, b at 10 m/s along y from (30, -30): the boxes touch in the corner.
+
+    b's right-hand face is at x = 29 (width 2), a's front reaches it after 2.7 s; b's front (length 4) is at
+    y = -28 + 27 = -1 then, and a's lower side is at y = -1: they touch at 2.7 s.
+    """
+    arrays = stack(
+        [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")],
+        step_s=0.1,
+    )
+    assert safe_of(arrays, draw_road()).ttc_s[0] == pytest.approx(2.7)
+
+
+def test_lane_of_a_vehicle_near_the_marking_does_not_flicker():
+    """y wanders from 1.6 to 1.9 and back (marking at 1.75) for 0.3 s: one lane all the way."""
+    x = np.arange(60) * 1.0
+    y = np.full(60, 1.5)
+    y[30:33] = 1.95
+    track = replace(drive(0.0, name="a"), position=np.column_stack([x, y]))
+    matches = match_lanes(stack([track], step_s=0.1), flatten_lanes(draw_road()))
+    assert set(matches.lane.tolist()) == {0}

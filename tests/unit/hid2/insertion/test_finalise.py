@@ -16,6 +16,7 @@ from hid2.params import Config, Request
 from hid2.policy.observation import Foreseen, lay_across
 from hid2.reasons import Reason
 from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle
 
 T, TEN = 0.1 * np.arange(110), np.full(110, 10.0)
 
@@ -319,3 +320,19 @@ def test_what_is_beside_is_passed_with_room(heading: float, mps: float, y: float
     scene = scene_of(recorded(200.0 if heading > 3.0 else 60.0, y, mps, heading=heading))
     found = _kept(scene, TEN, offset=_aside(0.5))
     assert found.trajectory.position[:, 1] == pytest.approx(kept_m, abs=0.01)
+
+
+def test_what_sumo_objected_to_is_the_reason() -> None:
+    scene = scene_of()
+    vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.paths.along((1,)))
+    vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
+    assert finalise(scene, vehicle, []) is Reason.SUMO_REFUSES_INSERTION
+
+
+def test_ttc_to_a_leader_is_that_of_the_steps_driven() -> None:
+    """A leader at 5 m/s, at x = 20 at step 0, slows nobody down who comes in at step 40, 20 m behind it, at 5 m/s; from
+    step 0 on, 12.5 m behind it bumper to bumper at 10 m/s, it is reached after 2.5 s.
+    """
+    scene = scene_of(recorded(20.0, 0.0, 5.0))
+    assert isinstance(_alone(scene, np.full(70, 5.0), 20.0, step=40), ExportedVehicle)
+    assert _alone(scene, TEN, 3.0) is Reason.MEETS_RECORDED

@@ -44,3 +44,14 @@ def test_the_first_of_several_contacts_counts_for_each_vehicle() -> None:
     scene = boxes((0, 0, 0, 10), (34, 0, 0, 0), (24, 0, 180, 10), (0, 500, 0, 10))
     found = [earliest_contact(own, *scene) for own in range(4)]
     assert [(other, round(ttc_s, 9)) for ttc_s, other in found] == [(2, 1.0), (0, 3.0), (0, 1.0), (-1, np.inf)]
+
+
+def test_contact_is_the_same_from_any_place_and_direction() -> None:
+    """Turned by 2 rad and moved by kilometres, as city frames are."""
+    position, heading, velocity, *sizes = boxes((0, 0, 0, 10), (6, -5, 90, 5), (24, 0, 180, 10))
+    c, s = np.cos(2.0), np.sin(2.0)
+    matrix = np.array([[c, s], [-s, c]])
+    turned = position @ matrix + [4000.0, -3000.0], heading + 2.0, velocity @ matrix, *sizes
+    for own in range(3):
+        ttc_s, other = earliest_contact(own, position, heading, velocity, *sizes)
+        assert earliest_contact(own, *turned) == (pytest.approx(ttc_s, abs=1e-6), other)

@@ -134,3 +134,12 @@ def test_what_is_known_of_some_holds_for_all_that_join_them(straight_line: Refer
             assert np.array_equal(getattr(along(grown, clear_steps), name), getattr(along(fresh, clear_steps), name))
         assert along(grown, clear_steps).low.shape[0] == 3
     assert not np.array_equal(along(fresh, 0).low, along(fresh, 10).low)
+
+
+def test_small_box_between_two_samples_is_not_jumped_over(straight_line: ReferenceLine) -> None:
+    """A pedestrian of 0.6 m right at the start, or far along, is found: the march slows before it reaches anybody."""
+    for x in (0.0, 3.3, 119.77, 199.9):
+        found = occupancy_of(straight_line, draw_box(x, 0.5, steps=1, length_m=0.6, width_m=0.6))
+        assert found.low.shape[0] == 1, x
+        assert found.low[0, 0] <= max(x - 2.3, 0.0)
+        assert found.high[0, 0] >= min(x + 2.3, 200.0) - 0.5
