@@ -9,7 +9,11 @@ from judged import check_generated
 from bridge import prepare, read_scene
 from bridge.generation.generate import PreparedScene, generate
 from bridge.generation.scene import TrafficScene
+from hid2.insertion.event_objective import Objective
+from hid2.insertion.events import SceneEvents
 from hid2.params import Config, Drivers, Event, EventSearch, Request
+from hid2.reasons import Reason
+from hid2.vehicle import DrivenVehicle
 
 #: A track that drives 5 m/s.
 SLOW = "310114"
@@ -74,6 +78,22 @@ def test_what_the_tries_failed_by_is_told_for_each_event(arterial: PreparedScene
     assert (first.status, first.tries) == ("not_feasible", 0)
     assert first.reason == f"event_not_foreseen:{next(iter(first.tried))}"
     assert (second.reason, second.tried) == ("event_no_target", {})
+
+
+def test_tries_that_were_driven_and_failed_are_counted_by_their_reason(
+    arterial: PreparedScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge = SceneEvents._judged
+
+    def fails(self: SceneEvents, objective: Objective, driven: DrivenVehicle) -> object:
+        """Only what SUMO has driven, which has a name of its own."""
+        return Reason.PET if driven.vehicle_id.startswith("e0_") else judge(self, objective, driven)
+
+    monkeypatch.setattr(SceneEvents, "_judged", fails)
+    (event,) = made(arterial, {}, candidates=300).sidecar.events
+    assert event.tries > 1
+    assert event.tried == {"pet": event.tries}
+    assert (event.status, event.reason) == ("not_feasible", "event_not_as_asked:pet")
 
 
 def test_no_vehicle_of_an_event_comes_between_those_of_one_before(arterial: PreparedScene) -> None:
