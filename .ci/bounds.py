@@ -38,7 +38,7 @@ BOUNDS = {
     "lines of bridge/batch": (2_037, 1_500),
     "lines of bridge/pictures": (786, 850),
     "lines of bridge/studies, evaluation, forecasting, pages": (7_183, 4_600),
-    "lines of tests": (30_464, 19_000),
+    "lines of tests": (30_507, 19_000),
     "parameters": (109, 110),
     "fmt: skip and fmt: off": (201, 40),
     "functions above 80 lines": (0, 0),

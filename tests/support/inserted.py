@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from hand_drawn import draw_lane, draw_road, graph_of
 
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.guard import Guard
@@ -14,7 +15,7 @@ from hid2.insertion.situations import Situation, Wanted
 from hid2.insertion.surroundings import Surroundings
 from hid2.motion.route import DrivenPath, Route
 from hid2.occupancy.traffic import Traffic
-from hid2.params import Config
+from hid2.params import Config, Request, Spawn
 from hid2.policy.observation import Foreseen, lay_across, target_path
 from hid2.policy.overtake import Stage
 from hid2.scene import Scene, build_scene
@@ -99,3 +100,29 @@ def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: 
     vehicle.path, vehicle.stage = path, Stage.DONE
     vehicle.shifts.append(Shift(side, start.route[0], to, at_step, target))
     return vehicle
+
+
+#: Length of the roads of `road_scene`, m.
+ROAD_M = 300.0
+
+
+def request_of(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:
+    return VehicleRequest(number, policy, trigger_s, size=CAR)
+
+
+def road_scene(
+    *tracks: Track, sites: str = "promising", lanes: int = 2, length_m: float = ROAD_M, **spawn: Any
+) -> Scene:
+    """Two lanes of 300 m."""
+    config = Config(request=Request(sites=sites), spawn=Spawn(prior_speed_mps=9.0, **spawn))
+    return scene_on(draw_road(lanes=lanes, length_m=length_m), *tracks, config=config)
+
+
+def left_turn_scene(at_m: float, on_m: float = 185.0) -> Scene:
+    """One lane that turns to the left at so many metres and goes on for on_m, and no recorded vehicle."""
+    bend = [(at_m + 15.0 * np.sin(a), 15.0 - 15.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 12)]
+    lanes = [
+        draw_lane(1, [(0.0, 0.0), (at_m, 0.0)], successors=(2,)),
+        draw_lane(2, bend, successors=(3,), is_intersection=True),
+    ]
+    return scene_on(graph_of(*lanes, *[draw_lane(3, [bend[-1], (at_m + 15.0, 15.0 + on_m)])] * (on_m > 0.0)))
