@@ -52,9 +52,7 @@ class Request(_Section):
     )  # fmt: skip
     trigger_min_s: float = _param(0.5, "s", "t_trigger, uniform from here", ge=0, le=60)
     trigger_max_s: Annotated[float, Field(ge=0, le=60)] | None = _param(
-        None,
-        "s",
-        "t_trigger, uniform to here (equal: fixed); where none: 4 s, of a scene 36 % at most, of overtakes 14 %",
+        None, "s", "t_trigger, uniform to here (equal: fixed); none: 4 s, of a scene 36 % at most, of overtakes 14 %"
     )
     trigger_list_s: tuple[Annotated[float, Field(ge=0, le=60)], ...] = _param(
         (), "s", "t_trigger, one of these; used instead of the range where there are any"
@@ -137,18 +135,17 @@ class Grid(_Section):
 class Spawn(_Section):
     """Insertion into free cells."""
 
-    prior_speed_mps: float = _param(9.0, "m/s", "speed of traffic where the scene has none; AV2's median", gt=0, le=40)
-    min_speed_mps: float = _param(
-        5.5, "m/s", "slowest desired speed drawn; none recorded holds one below 5", ge=0, le=40
-    )
-    max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn; above 20, lanes' limit too", gt=0, le=50)
+    prior_speed_mps: float = _param(9.0, "m/s", "speed of traffic where the scene has none; AV2's median", ge=1, le=40)
+    min_speed_mps: float = _param(5.5, "m/s", "slowest desired speed drawn; none recorded is below 5", ge=0, le=40)
+    max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn; above 20, lanes' limit too", ge=1, le=50)
     rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(2, "rounds", "times a failed manoeuvre is given to another vehicle", ge=0, le=20)
 
     @model_validator(mode="after")
     def _check(self) -> "Spawn":
-        if self.prior_speed_mps > self.max_speed_mps:
-            raise ValueError(f"prior_speed_mps {self.prior_speed_mps:g} is above max_speed_mps {self.max_speed_mps:g}")
+        for name in ("prior_speed_mps", "min_speed_mps"):
+            if getattr(self, name) > self.max_speed_mps:
+                raise ValueError(f"{name} {getattr(self, name):g} is above max_speed_mps {self.max_speed_mps:g}")
         return self
 
 
@@ -161,22 +158,18 @@ class Drivers(_Section):
     )  # fmt: skip
     desired_sd: float = _param(0.12, "share", "its SD between drivers", ge=0, le=0.5)
     wander_sd_mps: float = _param(
-        1.2,
-        "m/s",
-        "SD of the desired speed's wandering (Ornstein-Uhlenbeck) and of the start speed; measured: 0.9 to 1.9",
-        ge=0,
-        le=3,
+        1.2, "m/s", "SD of desired speeds' wandering (Ornstein-Uhlenbeck), of start speeds; 0.9 to 1.9", ge=0, le=3
     )
     wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
-    tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)
+    tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.6, le=4)
     tau_sd_s: float = _param(0.25, "s", "its SD between drivers", ge=0, le=2)
     accel_mean_mps2: float = _param(
-        1.85, "m/s2", "acceleration from standstill; 95 % of recorded ones are below 1.45", gt=0, le=2.4
+        1.85, "m/s2", "acceleration from standstill; 95 % of recorded ones are below 1.45", ge=0.6, le=2.4
     )
     accel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
-    decel_mean_mps2: float = _param(2.2, "m/s2", "comfortable deceleration", gt=0, le=4.05)
+    decel_mean_mps2: float = _param(2.2, "m/s2", "comfortable deceleration", ge=0.8, le=4.05)
     decel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
-    min_gap_mean_m: float = _param(3.4, "m", "gap to a standing leader; half of 69: 2.3 to 5.1", ge=0.5, le=10)
+    min_gap_mean_m: float = _param(3.4, "m", "gap to a standing leader; half of 69: 2.3 to 5.1", ge=1, le=10)
     min_gap_sd_m: float = _param(1.3, "m", "its SD between drivers", ge=0, le=3)
     turn_lateral_min_mps2: float = _param(
         1.5, "m/s2", "lateral acceleration in turns, uniform from here", gt=0, le=4.89
@@ -193,7 +186,9 @@ class Drivers(_Section):
     )
     lateral_wander_spread: float = _param(0.85, "-", "SD between drivers of its logarithm; measured", ge=0, le=1.5)
     lateral_wander_time_s: float = _param(2.7, "s", "its correlation time; measured: 1.8 to 3.3", gt=0, le=30)
-    lane_change_mean_s: float = _param(5.0, "s", "duration of a lane change, while |d'| is above .1 m/s", ge=1.5, le=15)
+    lane_change_mean_s: float = _param(
+        5.0, "s", "duration of a lane change (|d'| above .1 m/s), within lane_change.*_duration_s", ge=1.5, le=15
+    )
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
     error: float = _param(0.1, "-", "EIDM sigmaerror; acts on roads without replayed agents alone", ge=0, le=1)
@@ -219,7 +214,7 @@ class LaneChange(_Section):
         3.7, "s", "shortest lane change, as lane_change_mean_s: at most 1.3 m/s", ge=1.5, le=10
     )
     max_duration_s: float = _param(6.0, "s", "longest lane change that a driver wants", ge=1.5, le=15)
-    heading_deg: float = _param(9.5, "deg", "to the lane at most, so that slow vehicles take longer", gt=0, le=45)
+    heading_deg: float = _param(9.5, "deg", "to the lane at most, so that slow vehicles take longer", ge=1, le=45)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
     rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, _FUNCTION] = _param(
         "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
@@ -336,8 +331,8 @@ class Flow(_Section):
 class Limits(_Section):
     """Limits of motion of every exported step (nuPlan's comfort bounds; R_min and a_y,max of the paper)."""
 
-    accel_max_mps2: float = _param(2.40, "m/s2", "nuPlan", gt=0, le=6)
-    accel_min_mps2: float = _param(-4.05, "m/s2", "nuPlan", ge=-10, lt=0)
+    accel_max_mps2: float = _param(2.40, "m/s2", "nuPlan", ge=0.6, le=6)
+    accel_min_mps2: float = _param(-4.05, "m/s2", "nuPlan", ge=-10, le=-0.8)
     lateral_accel_mps2: float = _param(4.89, "m/s2", "nuPlan; a_y,max", gt=0, le=8)
     yaw_rate_radps: float = _param(0.95, "rad/s", "nuPlan", gt=0, le=2)
     yaw_accel_radps2: float = _param(1.93, "rad/s2", "nuPlan", gt=0, le=5)
@@ -445,9 +440,7 @@ class Export(_Section):
     """What is written."""
 
     noise: Literal["none", "tracker"] = _param(
-        "none",
-        "-",
-        "of inserted tracks; tracker: as the scene's recorded vehicles have it, with clean states in the sidecar",
+        "none", "-", "of inserted tracks; tracker: as recorded vehicles of the scene, with clean states in the sidecar"
     )
 
     def adds_noise(self, provenance: str) -> bool:

@@ -10,7 +10,7 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import Sidecar
 from hid2.agents import BoxSize, Track
 from hid2.judge.claims import FIGURES, Claim, EventClaim, judge_claims
-from hid2.judge.findings import LEFT_TO_TARGET, NOISE_BOUNDS, ON_EXPORTED, Bounds, Finding, Quantity
+from hid2.judge.findings import NOISE_BOUNDS, ON_EXPORTED, Bounds, Finding, Quantity, allowed_to
 from hid2.judge.states import judge
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
@@ -18,8 +18,6 @@ from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from netconvert.geometry import wrap_angle
 
-#: What a band of criticality that was asked for allows: the quantities that it is about.
-_BANDS = {"ttc_s": (Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), "pet_s": (Quantity.PET,)}
 #: Tolerance of noise over its bound, as a share: noise that is cut there is beyond it by the rounding of sums.
 _ROUNDING = 1e-6
 
@@ -47,10 +45,9 @@ def states_of(
 def findings_of(states: AgentStates, sidecar: Sidecar | None) -> list[Finding]:
     """What the judge finds in a scene and in what its sidecar claims, by the limits that hold for every scene.
 
-    A criticality that was asked for is no finding: of the vehicle of an event with its band, and the headway and the
-    braking that it leaves to its target: that gap is what the event is about. With a tracker's noise boxes, road and
-    the scene's end are of the states exported, motion and claims of the clean ones, and the two are as near as a
-    tracker's are.
+    A criticality that was asked for is no finding of an event's vehicle and its target, nor are the headway and the
+    braking that it leaves to it: that gap is what the event is about. With a tracker's noise boxes, road and the
+    scene's end are of the states exported, motion and claims of the clean ones, and the two are as near as a tracker's.
     """
     if sidecar is None:
         return judge(states, Bounds())
@@ -60,15 +57,8 @@ def findings_of(states: AgentStates, sidecar: Sidecar | None) -> list[Finding]:
         exported = [one for one in judge(states, Bounds()) if one.quantity in ON_EXPORTED]
         found = [*(one for one in found if one.quantity not in ON_EXPORTED), *exported, *_noise(states, clean)]
     allowed = _allowed(sidecar)
-    claims, events = claims_of(sidecar, states)
-    pairs = {(event.track_id, event.target_id) for event in events}
-    found = [
-        one
-        for one in found
-        if one.value < allowed.get((one.track_id, one.quantity), float("inf"))
-        and not (one.quantity in LEFT_TO_TARGET and (one.track_id, one.other) in pairs)
-    ]
-    return found + judge_claims(clean, claims, events)
+    found = [one for one in found if one.value < allowed.get((one.track_id, one.other, one.quantity), float("inf"))]
+    return found + judge_claims(clean, *claims_of(sidecar, states))
 
 
 def clean_states(states: AgentStates, sidecar: Sidecar) -> AgentStates:
@@ -126,14 +116,12 @@ def claims_of(sidecar: Sidecar, states: AgentStates) -> tuple[list[Claim], list[
     return claims, events
 
 
-def _allowed(sidecar: Sidecar) -> Mapping[tuple[str, Quantity], float]:
-    """Least values that an event's band of criticality allows its vehicle."""
+def _allowed(sidecar: Sidecar) -> Mapping[tuple[str, str | None, Quantity], float]:
+    """Least values that events allow their vehicles towards their targets."""
     asked = [one for one in sidecar.config.get("event", ()) for _ in range(int(one.get("count", 1)))]
     return {
-        (record.track_id, quantity): float(event[band][0])
+        (record.track_id, *what): least
         for event, record in zip(asked, sidecar.events, strict=False)
         if record.track_id is not None
-        for band, quantities in _BANDS.items()
-        if event.get(band)
-        for quantity in quantities
+        for what, least in allowed_to(record.target_track_id, event).items()
     }

@@ -26,6 +26,7 @@ from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_size
 from hid2.insertion.surroundings import Surroundings
 from hid2.judge.claims import EventClaim, event_step
+from hid2.judge.findings import allowed_to
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Event
 from hid2.reasons import Reason
@@ -65,18 +66,14 @@ class EventOutcome:
 def scene_for(scene: Scene, event: Event) -> Scene:
     """The scene with the rules that an event is made by: the gap asked for counts, not the one that drivers like.
 
-    Critical values are lowered only where a criticality below them is asked for. Recorded traffic that crosses makes an
+    Critical values are lowered only where a criticality below them is asked for, and of the target alone when a vehicle
+    is judged beside others (`SceneEvents._judged`). Recorded traffic that crosses makes an
     entrance red (`conflicts/signals.py`); where meeting it is what is asked for, it is red only while it crosses.
     """
     config, conflict = scene.config, scene.config.conflict
-    critical: dict[str, float] = {}
-    if event.ttc_s is not None:
-        # the vehicle is behind, ahead, or either
-        names = {"follow": ("ttc_min_s",), "merge": ("ttc_min_s", "follower_ttc_min_s")}
-        for name in names.get(event.kind, ("follower_ttc_min_s",)):
-            critical[name] = min(getattr(conflict, name), event.ttc_s[0])
-    if event.pet_s is not None:
-        critical["pet_min_s"] = min(conflict.pet_min_s, event.pet_s[0])
+    names = {"follow": ("ttc_min_s",), "merge": ("ttc_min_s", "follower_ttc_min_s")}  # it is behind, or either
+    asked = dict.fromkeys(names.get(event.kind, ("follower_ttc_min_s",)), event.ttc_s) | {"pet_min_s": event.pet_s}
+    critical = {name: min(getattr(conflict, name), band[0]) for name, band in asked.items() if band is not None}
     update: dict[str, object] = {"conflict": conflict.model_copy(update=critical)}
     if event.kind in _MEETS_CROSSING:
         update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
@@ -192,8 +189,8 @@ class SceneEvents:
             return driven.reason or Reason.EVENT_NOT_THERE
         if missed is not None:
             return missed
-        target_id = objective.target.track.track_id
-        conflicts = conflicting(objective.scene, [*kept, vehicle], target_id=target_id)
+        allowed = allowed_to(objective.target.track.track_id, objective.event.model_dump())
+        conflicts = conflicting(self.here.scene, [*kept, vehicle], allowed=allowed)
         own = next((reason for row, reason in conflicts if row >= len(kept)), None)
         if own is None and any(comes_between(objective.scene, event, vehicle) for event in self.found):
             own = Reason.BREAKS_EVENT

@@ -12,7 +12,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 from hid2.drivers.driver import LaneOffset
-from hid2.judge.findings import LEFT_TO_TARGET, MOVES_M, Finding, Quantity, export_bounds
+from hid2.judge.findings import MOVES_M, Allowed, Finding, Quantity, export_bounds
 from hid2.judge.states import (
     headway_on_driven_path,
     headways,
@@ -269,13 +269,12 @@ def _passes(vehicle: AgentStates, others: AgentStates) -> tuple[float, float]:
 
 
 def conflicting(
-    scene: Scene, exported: Sequence[ExportedVehicle], *, first_row: int = 0, target_id: str | None = None
+    scene: Scene, exported: Sequence[ExportedVehicle], *, first_row: int = 0, allowed: Allowed | None = None
 ) -> list[tuple[int, Reason]]:
     """Rows of exported vehicles that are in conflict with others when all are looked at together, with the reason.
 
     Of two exported vehicles the later row: one that was kept before another one was driven did not react to that one.
-    first_row: the first that is asked about; those before it have been looked at together; target_id: of an event,
-    which is about the gap that is left to it.
+    first_row: the first that is asked about; those before it have been looked at together; allowed: as `allowed_to`.
     """
     config, bounds = scene.config, export_bounds(scene.config)
     if len(exported) <= first_row or {"collision", "topology"} & config.without:
@@ -297,9 +296,8 @@ def conflicting(
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
-        if one.quantity in LEFT_TO_TARGET and one.other == target_id:
-            continue
-        found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), one.reason)
+        if one.value < (allowed or {}).get((one.other, one.quantity), math.inf):
+            found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), one.reason)
     return sorted((row, reason) for row, reason in found.items() if row >= first_row)
 
 

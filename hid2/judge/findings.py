@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum, auto
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -190,8 +190,18 @@ MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Ca
 #: Quantities judged on exported states also where these have a tracker's noise; all others on the clean states.
 ON_EXPORTED = frozenset({Quantity.OVERLAP, Quantity.OFF_ROAD, Quantity.END_TTC, Quantity.END_CONTACT})
 
-#: Quantities not asked of an event's vehicle and its target: the gap left to the target is what the event is about.
-LEFT_TO_TARGET = frozenset({Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING})
+#: What an event's bands of criticality are about.
+_BANDS = {"ttc_s": (Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), "pet_s": (Quantity.PET,)}
+#: Least values that are no finding of a vehicle, by the other agent and the quantity.
+Allowed = Mapping[tuple[str | None, Quantity], float]
+
+
+def allowed_to(target_id: str | None, event: Mapping[str, Any]) -> Allowed:
+    """What is no finding of an event's vehicle towards its target, at any headway: it is about the gap between them."""
+    asked = {one: float(event[band][0]) for band in _BANDS if event.get(band) for one in _BANDS[band]}
+    asked |= dict.fromkeys((Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING), float("-inf"))
+    return {(target_id, quantity): least for quantity, least in asked.items()}
+
 
 #: Quantities with a least value as their limit.
 LEAST = frozenset({

@@ -9,8 +9,10 @@ from judged import check_generated
 from bridge import prepare, read_scene
 from bridge.generation.generate import PreparedScene, generate
 from bridge.generation.scene import TrafficScene
+from bridge.recordings.judging import findings_of, recording_states
 from hid2.insertion.event_objective import Objective
 from hid2.insertion.events import SceneEvents
+from hid2.judge.findings import allowed_to
 from hid2.params import Config, Drivers, Event, EventSearch, Request
 from hid2.reasons import Reason
 from hid2.vehicle import DrivenVehicle
@@ -69,6 +71,18 @@ def test_event_is_as_asked_in_the_exported_positions(arterial: PreparedScene, as
         assert 3.15 <= braking[at:].max() <= 4.1
         assert braking[: at - 6].max() < 2.0 < braking[: at + 7].max()
         assert event.brakes_mps2 == pytest.approx(braking[at:].max(), abs=0.2)
+
+
+def test_a_criticality_is_asked_of_the_target_alone(arterial: PreparedScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A TTC below the critical 1.5 s: with another target it is a finding, and where none is allowed none is made."""
+    asked = {"kind": "lead", "target": "any", "ttc_s": (0.3, 1.4)}
+    scene = made(arterial, asked, candidates=300)
+    assert scene.judge().empty
+    events = [one.model_copy(update={"target_track_id": "other"}) for one in scene.sidecar.events]
+    sidecar = scene.sidecar.model_copy(update={"events": events})
+    assert "ttc_recorded_follower" in {one.quantity for one in findings_of(recording_states(scene.recording), sidecar)}
+    monkeypatch.setattr("hid2.insertion.events.allowed_to", lambda target_id, _: allowed_to(target_id, {}))
+    assert made(arterial, asked, candidates=300).sidecar.events[0].status == "not_feasible"
 
 
 def test_what_the_tries_failed_by_is_told_for_each_event(arterial: PreparedScene) -> None:

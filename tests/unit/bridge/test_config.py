@@ -32,16 +32,17 @@ def test_values_may_be_of_numpy_and_ablations_are_a_list() -> None:
 
 
 @pytest.mark.parametrize(("override", "said"), [
-    ("request.agents=-3", "request.agents = -3, expected integer >= 0, <= 500, or max"),
-    ("request.agents=many", "request.agents = 'many', expected integer"),
+    ("request.agents=-3", "= -3, expected integer >= 0, <= 500, or max"), ("drivers.accel_mean_mps2=.1", ">= 0.6"),
+    ("request.agents=many", "request.agents = 'many', expected integer"), ("drivers.tau_mean_s=.5", ">= 0.6, <= 4"),
     ("request.agent=3", "unknown key 'request.agent' .* did you mean request.agents"),
     ("reqest.agents=3", "unknown key 'reqest.agents' .* did you mean request.agents"),
-    ("request.agents", "expected section.key=value"),
-    ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
+    ("request.agents", "expected section.key=value"), ("limits.accel_min_mps2=-.1", ">= -10, <= -0.8"),
+    ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"), ("lane_change.heading_deg=.1", ">= 1"),
     ("sites.standing_mps=0.4", "standing_mps = 0.4: no parameter any more, the method has 0.3; leave it out$"),
     ("export.filter_ratios=[]", "no parameter any more, .*; leave it out, or set smoothing.filter_s"),
     ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
-    ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
+    ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"), ("spawn.max_speed_mps=.1", ">= 1"),
+    ("spawn.min_speed_mps=30", "min_speed_mps 30 is above max_speed_mps 20"), ("limits.accel_max_mps2=.1", ">= 0.6"),
     ("drivers.turn_lateral_min_mps2=4", "turn_lateral_min_mps2 4 is above turn_lateral_max_mps2 3.5"),
     ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
     ("request.own=mine:x=.2, other:x=1.0", "two of one name, expected a name for each"),
@@ -57,13 +58,11 @@ def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, 
 
 @pytest.mark.parametrize(("text", "said"), [
     ("[request]\nagents = '3'\n", "request.agents = '3', expected integer"),
-    ("request = 3\n", "request = 3, expected a table"),
-    ("[request.agents]\na = 1\n", "request.agents = {'a': 1}"),
+    ("request = 3\n", "request = 3, expected a table"), ("[request.agents]\na = 1\n", "request.agents = {'a': 1}"),
     ('[[event]]\nkind = "cutin"\n', "event 1: kind = 'cutin', expected cut_in, overtake, lead,"),
     ('[[event]]\nkind = "cut_in"\nat_s = [1, 2, 3]\n', r"event 1: at_s = .*, expected \[least, largest\]"),
     ('[[event]]\nkind = "lead"\nbrakes_mps2 = -3\n', "brakes_mps2 = -3, expected number >= 0, <= 4.05"),
-    ("without = 'all'\n", "without = 'all'"),
-    ("event = ['cut_in']\n", "event 1: 'cut_in', expected a table with kind, "),
+    ("without = 'all'\n", "without = 'all'"), ("event = ['cut_in']\n", "event 1: 'cut_in', expected a table with kind"),
     ("[turn]\nleft_trough = 0.9\n", "must be above left_trough 0.9"),
 ])  # fmt: skip
 def test_a_file_that_is_wrong_is_named_with_key_value_and_range(tmp_path: Path, text: str, said: str) -> None:
@@ -82,12 +81,10 @@ def test_behaviours_that_are_given_replace_all_shares() -> None:
 
 @pytest.mark.parametrize(("text", "said"), [
     ("lane_chnge=1", "'lane_chnge=1', expected name=share of straight, left_turn"),
-    ("lane_change", "expected name=share"),
-    ("straight=a", "straight: 'a', expected a share"),
+    ("lane_change", "expected name=share"), ("straight=a", "straight: 'a', expected a share"),
     ("straight=1,straight=0", "'straight' is given twice"),
     ("straight=2", "request.straight = 2.0, expected number >= 0, <= 1"),
-    ("straight=nan", "request.straight = nan"),
-    ("straight=0", "the behaviour shares sum to 0"),
+    ("straight=nan", "request.straight = nan"), ("straight=0", "the behaviour shares sum to 0"),
 ])  # fmt: skip
 def test_behaviours_that_are_wrong_are_named(text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):

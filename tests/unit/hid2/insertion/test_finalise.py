@@ -11,6 +11,7 @@ from inserted import CAR, changing, driven, recorded, scene_on, start_on
 from hid2.agents import BoxSize, Track
 from hid2.drivers.driver import LaneOffset
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.judge.findings import allowed_to
 from hid2.motion.route import DrivenPath
 from hid2.params import Config, Request
 from hid2.policy.observation import Foreseen, lay_across
@@ -175,7 +176,7 @@ def test_headway_is_that_to_the_box_that_is_exported(length_m: float, found: lis
     scene = scene_of(recorded(20.6, 0.0, 24.0))
     vehicle = _kept(scene, np.full(110, 24.0), size=BoxSize(length_m, 1.8))
     assert conflicting(scene, [vehicle]) == found
-    assert conflicting(scene, [vehicle], target_id="r") == []
+    assert conflicting(scene, [vehicle], allowed=allowed_to("r", {})) == []
 
 
 def test_lane_of_a_damaged_map_that_turns_back_on_itself_is_not_driven() -> None:

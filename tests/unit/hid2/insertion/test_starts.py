@@ -6,17 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_crossing, draw_lane, draw_road, graph_of
-from inserted import (
-    CAR,
-    DRIVER,
-    ROAD_M,
-    left_turn_scene,
-    recorded,
-    request_of,
-    road_scene,
-    scene_on,
-    sites_of,
-)
+from inserted import CAR, DRIVER, ROAD_M, left_turn_scene, recorded, request_of, road_scene, scene_on, sites_of
 
 from hid2.agents import Policy
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
