@@ -1,5 +1,6 @@
 """The second checker finds nothing in scenes that hid2 writes, and every fault that is planted into them."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 from planted_faults import GROSS, INSIDE, KINDS, PlantedFault, planted, planted_in
 from second_checker import check_folder
+from second_map import SecondMap
 
 from bridge.config import config_from_dict
 from bridge.generation.generate import generate
@@ -18,12 +20,11 @@ from hid2.judge.claims import FIGURES
 from hid2.judge.findings import Quantity
 
 ROOT = Path(__file__).parents[2]
-#: Kinds that a real scene with a straight road has room for, most of the time.
-LEAST_KINDS = 10
+Scenes = list[tuple[Path, Path]]
 TWO_STRAIGHT = {"agents": 2, "straight": 1, "lane_change": 0, "overtake": 0, "left_turn": 0, "right_turn": 0}
 
 
-def generated(out: Path, roots: Iterable[Path], **request: object) -> list[tuple[Path, Path]]:
+def generated(out: Path, roots: Iterable[Path], **request: object) -> Scenes:
     """Scenes written, each with the folder of its recording."""
     config = config_from_dict({"request": request})
     folders = [folder for root in roots for folder in find_scenarios(root)]
@@ -40,10 +41,9 @@ def wrong(fault: PlantedFault) -> str | None:
 
 
 @pytest.fixture(scope="module")
-def quiet_scenes(tmp_path_factory: pytest.TempPathFactory, data_root: Path) -> list[tuple[Path, Path]]:
+def quiet_scenes(tmp_path_factory: pytest.TempPathFactory, data_root: Path) -> Scenes:
     """The synthetic scenes with two vehicles that go straight: there is room for faults."""
-    out = tmp_path_factory.mktemp("quiet")
-    return generated(out, [data_root], **TWO_STRAIGHT)
+    return generated(tmp_path_factory.mktemp("quiet"), [data_root], **TWO_STRAIGHT)
 
 
 def test_the_second_checker_imports_nothing_of_the_product() -> None:
@@ -63,8 +63,7 @@ def misjudged(fault: PlantedFault) -> str | None:
 
     Its rule on headings and motion is of the format; faults of the heading alone break that inside their limits too.
     """
-    against = Against(sources={fault.source.name: fault.source})
-    every = validate_scene(against, fault.folder)
+    every = validate_scene(Against(sources={fault.source.name: fault.source}), fault.folder)
     found = [one for one in every if one.rule in list(Quantity)]
     if fault.strength == INSIDE:
         beside = {Quantity.FOLLOWER_HEADWAY, BESIDE.get(fault.kind)}
@@ -77,7 +76,7 @@ def misjudged(fault: PlantedFault) -> str | None:
 
 
 @pytest.fixture(scope="module")
-def faults(quiet_scenes: list[tuple[Path, Path]], tmp_path_factory: pytest.TempPathFactory) -> list[PlantedFault]:
+def faults(quiet_scenes: Scenes, tmp_path_factory: pytest.TempPathFactory) -> list[PlantedFault]:
     return list(planted_in(quiet_scenes, tmp_path_factory.mktemp("planted")))
 
 
@@ -91,16 +90,22 @@ def test_judge_and_second_checker_agree_on_every_planted_fault(faults: list[Plan
     assert [text for text in map(misjudged, faults) if text] == []
 
 
-def test_without_a_sidecar_the_tracks_gen_are_the_inserted_ones(
-    quiet_scenes: list[tuple[Path, Path]], tmp_path: Path
-) -> None:
+def test_without_a_sidecar_the_tracks_gen_are_the_inserted_ones(quiet_scenes: Scenes, tmp_path: Path) -> None:
     kinds = tuple(one for one in KINDS if one.name == "500 m aside")
     fault = next(one for scene in quiet_scenes for one in planted(*scene, tmp_path, kinds=kinds))
-    (sidecar,) = fault.folder.glob("hid2_*.json")
-    sidecar.unlink()
-    assert {(one.vehicle, one.quantity) for one in check_folder(fault.folder, fault.source)} == {
-        (fault.vehicle, "off_road")
-    }
+    next(fault.folder.glob("hid2_*.json")).unlink()
+    found = check_folder(fault.folder, fault.source)
+    assert {(one.vehicle, one.quantity) for one in found} == {(fault.vehicle, "off_road")}
+
+
+def test_lanes_are_beside_each_other_where_one_of_them_says_so(data_root: Path, tmp_path: Path) -> None:
+    source, path = min(data_root.glob("**/log_map_archive_*.json")), tmp_path / "one_sided.json"
+    raw = json.loads(source.read_text())
+    one_sided = {key: lane | {"left_neighbor_id": None} for key, lane in raw["lane_segments"].items()}
+    path.write_text(json.dumps(raw | {"lane_segments": one_sided}))
+    stated, found = (SecondMap(one) for one in (source, path))
+    assert any(map(stated.beside, stated.ids))
+    assert [*map(found.beside, stated.ids)] == [*map(stated.beside, stated.ids)]
 
 
 @pytest.mark.slow
@@ -113,8 +118,7 @@ def test_real_scenes_as_written_have_no_error(shared_data: Path, tmp_path: Path)
 @pytest.mark.slow
 def test_faults_planted_into_real_scenes_are_found(shared_data: Path, tmp_path: Path) -> None:
     """Real scenes have room for some kinds each; over all of them for ten at least."""
-    kinds = set()
-    bad = []
+    kinds, bad = set[str](), list[str]()
     for scene in generated(tmp_path / "out", [shared_data / "av2"], **TWO_STRAIGHT):
         if check_folder(*scene):  # what is wrong before a fault is planted is for the test above
             continue
@@ -122,4 +126,4 @@ def test_faults_planted_into_real_scenes_are_found(shared_data: Path, tmp_path: 
             kinds.add(fault.kind)
             bad += [text for text in (wrong(fault), misjudged(fault)) if text]
     assert bad == []
-    assert len(kinds) >= LEAST_KINDS
+    assert len(kinds) >= 10

@@ -1,7 +1,7 @@
 """The map and the geometry of the second checker: lanes with polygons, polylines, boxes. Nothing of the product.
 
 Decisions: a lane without a centerline gets the mean of its boundaries; a lane's polygon is the ground between its
-boundaries; lanes of every type can be driven; a lane is left or right of another where the map says so.
+boundaries; lanes of every type can be driven; a lane is left or right of another where one of the two says so.
 """
 
 import json
@@ -108,18 +108,14 @@ class SecondMap:
     def __init__(self, path: Path) -> None:
         raw = json.loads(path.read_text())
         self.lanes = {int(one["id"]): _lane(one) for one in raw["lane_segments"].values()}
-        areas = [
-            shapely.make_valid(shapely.Polygon(_xy(one["area_boundary"]))) for one in raw["drivable_areas"].values()
-        ]
-        self.drivable = shapely.union_all(areas)
+        rings = (_xy(one["area_boundary"]) for one in raw["drivable_areas"].values())
+        self.drivable = shapely.union_all([shapely.make_valid(shapely.Polygon(ring)) for ring in rings])
         shapely.prepare(self.drivable)
         self.ids = list(self.lanes)
         self.tree = shapely.STRtree([self.lanes[lane_id].ground for lane_id in self.ids])
-        self.predecessors: dict[int, list[int]] = {lane_id: [] for lane_id in self.ids}
-        for lane_id, lane in self.lanes.items():
-            for after in lane.successors:
-                if after in self.lanes:
-                    self.predecessors[after].append(lane_id)
+        self.predecessors = {
+            after: [lane_id for lane_id in self.ids if after in self.lanes[lane_id].successors] for after in self.ids
+        }
 
     def outside_m(self, points: Floats) -> Floats:
         """Distance of points (P, 2) from the drivable ground, 0 on it."""
@@ -164,10 +160,10 @@ class SecondMap:
         return reached
 
     def beside(self, lane_id: int) -> set[int]:
-        """Lanes of the same direction left and right of a lane."""
+        """Lanes of the same direction left and right of a lane, where one of the two says so."""
         lane = self.lanes[lane_id]
         middle, heading = lane.line.at(lane.line.length_m / 2)
-        sides = {side for side in (lane.left, lane.right) if side is not None and side in self.lanes}
+        sides = {n for n, one in self.lanes.items() if n in (lane.left, lane.right) or lane_id in (one.left, one.right)}
         return {side for side in sides if self.off_lane_deg(side, middle, heading)[0] < 90.0}
 
     def onward(self, lane_id: int) -> int | None:
