@@ -116,11 +116,7 @@ class CellGrid:
 
     @cached_property
     def polygons(self) -> npt.NDArray[np.object_]:
-        """Ground of each cell, (C,) polygons in the order of cells.
-
-        Cut out of the lane's boundaries at equal fractions of their lengths; half a width to both sides of the
-        centreline where the map has no boundaries.
-        """
+        """Ground of each cell, (C,) polygons in the order of cells, between equal fractions of the boundaries."""
         rings: list[FloatArray] = []
         for lane_id, lane in self.graph.lanes.items():
             left, right = lane.sides

@@ -7,6 +7,7 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, Track
 from hid2.occupancy.traffic import Traffic
+from netconvert.geometry import Polyline
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
 
 SMALL_CAR = BoxSize(4.0, 2.0)
@@ -25,13 +26,14 @@ def draw_lane(
     right_mark: str = "DASHED_WHITE",
     width_m: float = 3.5,
 ) -> LaneSegment:
-    """A lane segment along points (m) without boundaries; left, right: ids of its neighbours."""
+    """A lane segment along points (m), half a width to both sides; left, right: ids of its neighbours."""
     centerline = np.array(points, dtype=np.float64)
+    path = Polyline(centerline)
     return LaneSegment(
         lane_id=lane_id,
         centerline=centerline,
-        left_boundary=None,
-        right_boundary=None,
+        left_boundary=path.xy(path.s, width_m / 2.0),
+        right_boundary=path.xy(path.s, -width_m / 2.0),
         lane_type=lane_type,
         is_intersection=is_intersection,
         successors=successors,
