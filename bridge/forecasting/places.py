@@ -17,7 +17,7 @@ from bridge.recordings.scenario import OBSERVED_STEPS, log_of, read_scenario
 from bridge.recordings.sidecar import REACTIVE, Sidecar, sidecar_in
 from hid2.params import Forecasting
 from netconvert.errors import ScenarioError
-from netconvert.lane_graph import LaneGraph, joined
+from netconvert.lane_graph import joined
 
 #: Cells a side of the square in which the cells of a city are numbered.
 _SIDE = 1 << 20
@@ -75,7 +75,9 @@ def facts_of_scenes(
 def describe(params: Forecasting, folder: Path) -> SourceScene:
     """Read one scene, by all rules that its readers have. Errors: ScenarioError, MapError, as of `read_scenario`."""
     sidecar, scene = generated_sidecar(folder), read_scenario(folder)
-    cells, block = _ground(scene.graph, params)
+    points = np.concatenate([line for lane in scene.graph.lanes.values() for line in (lane.centerline, *lane.sides)])
+    cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
+    middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
     return SourceScene(
         folder=folder,
         scenario_id=scene.scenario_id,
@@ -85,8 +87,8 @@ def describe(params: Forecasting, folder: Path) -> SourceScene:
         tracks=len(scene.tracks),
         observed=sum(OBSERVED_STEPS - 1 in track.timesteps for track in scene.tracks),
         log=log_of(scene.table),
-        cells=cells,
-        block=block,
+        cells=np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(),
+        block=(int(middle[0]), int(middle[1])),
         inserted=0 if sidecar is None else len(sidecar.agents),
     )
 
@@ -96,14 +98,6 @@ def generated_sidecar(folder: Path) -> Sidecar | None:
     if word_for_recorded(folder.name) != "recorded":
         raise ScenarioError(f"{folder}: {REACTIVE}")
     return sidecar_in(folder)
-
-
-def _ground(graph: LaneGraph, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
-    """Cells and block of the points of a map's lanes."""
-    points = np.concatenate([line for lane in graph.lanes.values() for line in (lane.centerline, *lane.sides)])
-    cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
-    middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
-    return np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(), (int(middle[0]), int(middle[1]))
 
 
 # Groups and splits
