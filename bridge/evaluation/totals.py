@@ -330,14 +330,10 @@ class Evaluation(NamedTuple):
 
 def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
     """Quantiles of generated and recorded vehicles side by side."""
+    rows = {"generated": GENERATED, "recorded": RECORDED}
     return [
-        {
-            "feature": feature.name,
-            "unit": feature.unit,
-            "shares": list(TAIL_SHARES),
-            "generated": quantiles(feature, realism.of(feature)[GENERATED], TAIL_SHARES),
-            "recorded": quantiles(feature, realism.of(feature)[RECORDED], TAIL_SHARES),
-        }
-        for feature in FEATURES
-        if feature.name in TAILS
+        {"feature": one.name, "unit": one.unit, "shares": list(TAIL_SHARES)}
+        | {kind: quantiles(one, realism.of(one)[row], TAIL_SHARES) for kind, row in rows.items()}
+        for one in FEATURES
+        if one.name in TAILS
     ]
