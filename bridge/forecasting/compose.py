@@ -243,8 +243,7 @@ class _Pool:
         names = sorted(strata)
         exact = np.array([number * len(strata[name]) / len(facts) for name in names])
         counts = np.floor(exact).astype(int)
-        for k in np.argsort(-(exact - counts), kind="stable")[: number - counts.sum()]:
-            counts[k] += 1
+        counts[np.argsort(-(exact - counts), kind="stable")[: number - counts.sum()]] += 1
         chosen = {fact.scenario_id for name, count in zip(names, counts, strict=True) for fact in strata[name][:count]}
         return [fact for fact in facts if fact.scenario_id in chosen]
 

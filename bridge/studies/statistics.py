@@ -139,11 +139,11 @@ def dose_response(
         clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]
         alone = np.array([statistic((clusters == one).astype(np.float64)) for one in range(clusters.max() + 1)])
         same = {"parameter": key, "outcome": outcome.name, "clusters": int((np.isfinite(alone).sum(axis=1) > 1).sum())}
+        within = {"within_s": within_s} if outcome.above is None else {}
         own: list[dict[str, Any]] = [
-            {**same, "value": value, "rows": int((of & (code == place)).sum())} for place, value in enumerate(values)
+            {**same, "value": value, "rows": int((of & (code == place)).sum()), **within}
+            for place, value in enumerate(values)
         ]
-        for row in own if outcome.above is None else ():
-            row["within_s"] = within_s
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
             if unit == "runs" and not isinstance(values[0], str):
