@@ -27,11 +27,10 @@ def draw_lane(
     width_m: float = 3.5,
 ) -> LaneSegment:
     """A lane segment along points (m), half a width to both sides; left, right: ids of its neighbours."""
-    centerline = np.array(points, dtype=np.float64)
-    path = Polyline(centerline)
+    path = Polyline(np.array(points, dtype=np.float64))
     return LaneSegment(
         lane_id=lane_id,
-        centerline=centerline,
+        centerline=path.points,
         left_boundary=path.xy(path.s, width_m / 2.0),
         right_boundary=path.xy(path.s, -width_m / 2.0),
         lane_type=lane_type,
@@ -42,7 +41,7 @@ def draw_lane(
         left_mark_type=left_mark,
         right_mark_type=right_mark,
         width_m=width_m,
-        turn=turn_type(centerline, is_intersection=is_intersection),
+        turn=turn_type(path.points, is_intersection=is_intersection),
     )
 
 

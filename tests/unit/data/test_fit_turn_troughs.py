@@ -82,7 +82,7 @@ def test_profile_is_speed_over_speed_at_the_entrance(script: ModuleType) -> None
     assert profile[0] == 1.0
     assert 5.0 / 10.0 < profile[18] < 5.0 / 9.5
     jump = replace(car, position=np.column_stack([np.where(s > 8, s + 3.0, s), np.zeros(len(s))]))
-    unclean = script._profile(script.stack([jump], step_s=0.1), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
+    unclean = script._profile(stack([jump], step_s=0.1), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
     assert unclean is None
     assert script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=-1) is None
     assert script._profile(arrays, 0, inside[0], inside[3], s[inside[:4]] / 20, sign=1) is None  # a part of the lane
