@@ -4,7 +4,7 @@ Two scenes are kept on one side where one was generated from the other, where th
 slice_id, where a file has one), and where their maps share a square of ground: neighbouring windows of a drive do.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -131,15 +131,12 @@ def split_by_place(
     """
     groups = groups_of(facts)
     wanted = [split for split, share in shares.items() if share > 0]
-    strata = sorted({stratum(fact, bounds) for fact in facts})
-    column = {name: k for k, name in enumerate(strata)}
-    counts = np.zeros((len(groups), len(strata) + 1))  # the last column is the sum: small strata do not decide alone
-    counts[:, -1] = [len(rows) for rows in groups]
-    for number, rows in enumerate(groups):
-        for row in rows:
-            counts[number, column[stratum(facts[row], bounds)]] += 1
+    each = [Counter(stratum(facts[row], bounds) for row in rows) for rows in groups]
+    strata = sorted({name for one in each for name in one})
+    # the last column is the sum: small strata do not decide alone
+    counts = np.array([[*(one[name] for name in strata), one.total()] for one in each]).reshape(len(groups), -1)
     target = np.outer([shares[split] for split in wanted], counts.sum(axis=0))
-    have, number_of = np.zeros_like(target), np.zeros(len(wanted), dtype=int)
+    have, number_of = np.zeros(target.shape), np.zeros(len(wanted), dtype=int)
     chosen: dict[str, list[int]] = {split: [] for split in shares}
     shuffled = np.random.default_rng(seed).permutation(len(groups))
     order = sorted(shuffled.tolist(), key=lambda number: -len(groups[number]))
@@ -157,10 +154,7 @@ def split_by_place(
 
 def leaks_between(facts: Sequence[SourceScene], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
     """Scenes for training that are, or come from, or lie where one of those held out does. Each is named once."""
-    known: dict[tuple[object, ...], int] = {}
-    for row in held_out:
-        for sign, _ in _signs(facts[row]):
-            known.setdefault(sign, row)
+    known = {sign: row for row in reversed(held_out) for sign, _ in _signs(facts[row])}  # by the first of each
     found = []
     for row in training:
         leak = next(((known[sign], why) for sign, why in _signs(facts[row]) if sign in known), None)
