@@ -73,13 +73,9 @@ def observed_s(requests: pd.DataFrame, key: str, *, give_up_s: float) -> float:
 
     At a value at which the one that waited longest accepted, all is known.
     """
-    found = [give_up_s]
-    for _, own in requests.groupby(key):
-        accepted = own["accepted"].astype(bool)
-        censored_s, accepted_s = own.loc[~accepted, "waited_s"].max(), own.loc[accepted, "waited_s"].max()
-        if not (np.isnan(censored_s) or censored_s < accepted_s):
-            found.append(float(censored_s))
-    return min(found)
+    longest = requests.groupby([key, requests["accepted"].astype(bool)])["waited_s"].max().unstack()
+    censored_s, accepted_s = (longest.get(accepted, pd.Series(np.nan, longest.index)) for accepted in (False, True))
+    return float(np.nanmin([give_up_s, censored_s.mask(censored_s < accepted_s).min()]))
 
 
 # Per value ------------------------------------------------------------------------------------------------------------
