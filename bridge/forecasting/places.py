@@ -134,7 +134,7 @@ def split_by_place(
     each = [Counter(stratum(facts[row], bounds) for row in rows) for rows in groups]
     strata = sorted({name for one in each for name in one})
     # the last column is the sum: small strata do not decide alone
-    counts = np.array([[*(one[name] for name in strata), one.total()] for one in each]).reshape(len(groups), -1)
+    counts = np.array([[*(one[name] for name in strata), one.total()] for one in each]).reshape(-1, len(strata) + 1)
     target = np.outer([shares[split] for split in wanted], counts.sum(axis=0))
     have, number_of = np.zeros(target.shape), np.zeros(len(wanted), dtype=int)
     chosen: dict[str, list[int]] = {split: [] for split in shares}
