@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import savgol_filter
 
+from bridge.recordings.judging import recording_states
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import find_sources, read_recording
 from hid2.agents import FloatArray
-from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.driven_lanes import LaneView, runs_of
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.measures.arrays import SceneArrays
+from hid2.measures.driven_lanes import runs_of
 from hid2.params import Turn
 from hid2.policy.roads import turn_shape
 from netconvert.lane_graph import TURN_RAD
@@ -59,11 +59,9 @@ def fit(profiles: Mapping[str, FloatArray]) -> dict[str, tuple[float, float, flo
 
 def turns_of(scenario: Recording) -> Iterator[tuple[str, FloatArray]]:
     """Turns of a scene's recorded vehicles: the side, and (21,) v / v_0 at ALPHA, v_0 at the entrance of the lane."""
-    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
-    lanes = flatten_lanes(scenario.graph)
-    matches = match_lanes(arrays, lanes)
-    view = LaneView(arrays, lanes, matches)
-    for agent in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.fragment).tolist():
+    view = recording_states(scenario)
+    arrays, lanes, matches = view.arrays, view.lanes, view.matches
+    for agent in np.flatnonzero(arrays.clean).tolist():
         for run in runs_of(view, agent):
             sign = int(lanes.turn[run.lane]) if run.lane >= 0 else 0
             if sign:

@@ -116,17 +116,12 @@ class CellGrid:
 
     @cached_property
     def polygons(self) -> npt.NDArray[np.object_]:
-        """Ground of each cell, (C,) polygons in the order of cells.
-
-        Cut out of the lane's boundaries at equal fractions of their lengths; half a width to both sides of the
-        centreline where the map has no boundaries.
-        """
-        rings: list[FloatArray] = []
-        for lane_id, lane in self.graph.lanes.items():
-            left, right = lane.sides
-            count = len(self._rows[lane_id])
-            for left_part, right_part in zip(_cut(left, count), _cut(right, count), strict=True):
-                rings.append(np.concatenate([right_part, left_part[::-1]]))
+        """Ground of each cell, (C,) polygons in the order of cells, between equal fractions of the boundaries."""
+        rings = [
+            np.concatenate([right, left[::-1]])
+            for lane_id, lane in self.graph.lanes.items()
+            for left, right in zip(*(_cut(side, self.count(lane_id)) for side in lane.sides), strict=True)
+        ]
         owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
         polygons: npt.NDArray[np.object_] = shapely.polygons(shapely.linearrings(np.concatenate(rings), indices=owner))
         invalid = ~shapely.is_valid(polygons)

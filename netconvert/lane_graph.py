@@ -57,10 +57,10 @@ class LaneSegment:
     lane_id: int
     centerline: FloatArray
     """(N, 2) m in the city frame, in driving direction."""
-    left_boundary: FloatArray | None
-    """(M, 2) m, or None where the map has no boundaries."""
-    right_boundary: FloatArray | None
-    """(M, 2) m, or None where the map has no boundaries."""
+    left_boundary: FloatArray
+    """(M, 2) m."""
+    right_boundary: FloatArray
+    """(M, 2) m."""
     lane_type: str
     """VEHICLE, BIKE or BUS."""
     is_intersection: bool
@@ -83,10 +83,8 @@ class LaneSegment:
 
     @property
     def sides(self) -> tuple[FloatArray, FloatArray]:
-        """Left and right edge of the lane's ground, (M, 2) m: its boundaries, or half a width from the centreline."""
-        if self.left_boundary is not None and self.right_boundary is not None:
-            return self.left_boundary, self.right_boundary
-        return self.path.xy(self.path.s, self.width_m / 2.0), self.path.xy(self.path.s, -self.width_m / 2.0)
+        """Left and right boundary."""
+        return self.left_boundary, self.right_boundary
 
     def neighbor_id(self, side: Side) -> int | None:
         """The neighbour on a side as the source map names it, in whatever direction it runs."""

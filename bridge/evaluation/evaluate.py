@@ -50,29 +50,24 @@ def evaluate_folder(
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
     if controls and made_of.isdisjoint(map(_made_of, filter(is_generated, controls))):
         raise ConfigError(f"--control {control}: no scene generated from a source of those in {out}, expected some")
-    known = len(folders) + len(sources)
     totals, failures = Totals(sources), list[tuple[Address, str]]()
+    takes = [totals.add] * len(folders) + [totals.add_source] * len(sources) + [totals.add_control] * len(controls)
     with contextlib.ExitStack() as stack:
         tables: dict[str, tuple[IO[str], Sequence[str]]] = {}
         every = [*folders, *sources.values(), *controls]
         each = work_on_each(measure, every, frozenset(sources), jobs=jobs, chunk=40, timeout_s=120, on_item=on_scene)
-        for done, (folder, packed) in enumerate(each, 1):
+        for take, (folder, packed) in zip(takes, each, strict=True):
             if isinstance(packed, Failure):
                 failures.append((folder, packed.message))
                 continue
             measures: SceneMeasures = pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
-            if done > known:
-                totals.add_control(measures)
-            elif done > len(folders):
-                totals.add_source(measures)
-            else:
-                totals.add(measures)
-                for name, rows in measures.tables.items():
-                    if name not in tables:  # no folder is made where no scene can be measured
-                        stream = stack.enter_context(table_file(report_dir / f"{name}.csv"))
-                        tables[name] = stream, TABLES[name] or [*rows[0]]
-                        append_rows(stream, [tables[name][1]])
-                    append_rows(tables[name][0], _cells(rows, tables[name][1]))
+            take(measures)
+            for name, rows in measures.tables.items() if take == totals.add else ():
+                if name not in tables:  # no folder is made where no scene can be measured
+                    stream = stack.enter_context(table_file(report_dir / f"{name}.csv"))
+                    tables[name] = stream, TABLES[name] or [*rows[0]]
+                    append_rows(stream, [tables[name][1]])
+                append_rows(tables[name][0], _cells(rows, tables[name][1]))
         if set(folders) <= {folder for folder, _ in failures}:
             raise ScenarioError(
                 f"{out}: none of {len(folders)} scenes can be read, expected one at least; {failures[0][0]}: "

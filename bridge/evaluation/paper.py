@@ -34,8 +34,9 @@ Experiment = Literal["table1", "ablation", "density", "diversity"]
 ADDED = (0, 5, 10, 20, 40)
 #: The paper does not say how its Argoverse 1 tracks were smoothed. With this filter (samples, degree) tracks seen at
 #: every step come to its JE, and near its LO and LA. For comparison alone: nothing that is generated depends on it.
-_SMOOTHED_FORMAT, _FILTER_SAMPLES, _FILTER_DEGREE = "argoverse1", 13, 3
-_SMOOTHED = "smoothed"
+_FILTER_SAMPLES, _FILTER_DEGREE = 13, 3
+#: Kinds of scenes of Table 1: of Argoverse 1, the same with smoothed tracks, of any other format.
+_ROUGH, _SMOOTHED, _OTHER = "argoverse1", "smoothed", "other"
 _TIMEOUT_S = 600.0  # of a scene that is generated and measured once
 #: The mix of the diversity experiment: the paper's underrepresented behaviours.
 _RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change": 0.25, "overtake": 0.15}
@@ -83,7 +84,7 @@ def settings_of(name: Experiment, agents: int) -> Mapping[str, Config | None]:
     return {"hid2": base}
 
 
-#: Scene rows by setting, one per source scene and seed; those of table1 that are smoothed apart.
+#: Scene rows by setting, one per source scene and seed; in table1 those that are smoothed apart, if any.
 _Rows = Mapping[str, list[Row]]
 
 
@@ -95,7 +96,7 @@ def run_settings(
     Returns the rows and, by setting, a line for each scene that failed.
     """
     settings = settings_of(name, agents)
-    rows: dict[str, list[Row]] = {setting: [] for setting in (*settings, _SMOOTHED)}
+    rows: dict[str, list[Row]] = {setting: [] for setting in settings}
     failures: dict[str, list[str]] = {setting: [] for setting in settings}
     each = work_on_each(
         generate_and_measure, folders, (name, agents, seeds), jobs=jobs, chunk=1,
@@ -109,7 +110,7 @@ def run_settings(
                 failures[setting].append(f"{setting}, {scene}{seed}: {found.message}")
             else:
                 for row in found:
-                    rows[row["setting"]].append(row)
+                    rows.setdefault(row["setting"], []).append(row)
     return rows, [line for lines in failures.values() for line in lines]
 
 
@@ -124,7 +125,7 @@ def generate_and_measure(
 
     name, agents, seeds = shared
     settings, scenario = settings_of(name, agents), read_recording(folder)
-    is_rough = name == "table1" and isinstance(folder, Source) and folder.format == _SMOOTHED_FORMAT
+    is_rough = name == "table1" and isinstance(folder, Source) and folder.format == _ROUGH
     items = [(setting, seed) for setting, config in settings.items() for seed in range(seeds if config else 1)]
     prepared = prepare(scenario, next((config for config in settings.values() if config), Config()))
 
@@ -187,8 +188,8 @@ def run_experiment(
         "of_seeds": f"seeds 0 to {seeds - 1}" if seeds > 1 else "seed 0",
         "asked": "0 to 40 vehicles" if name == "density" else f"{agents} vehicles",
         "placed": [f"{_placed(rows[setting])} {_NAMES.get(setting, '')}".strip() for setting in generating],
-        "two_kinds": len({provenance for kind, provenance in kinds if kind != _SMOOTHED_FORMAT}) > 1,
-        "argoverse1": any(kind == _SMOOTHED_FORMAT for kind, _ in kinds),
+        "two_kinds": len({provenance for kind, provenance in kinds if kind != _ROUGH}) > 1,
+        "argoverse1": any(kind == _ROUGH for kind, _ in kinds),
     }  # fmt: skip
     if name == "diversity":
         found = _diversity(rows)
@@ -236,22 +237,20 @@ def _line(label: str, rows: Sequence[Row], what: str | Mapping[str, float]) -> L
     return {"row": label} | {key: Estimate(value)._asdict() for key, value in what.items()}
 
 
-#: Table 1: lines with the paper's figures, or with the group that they are of; of Argoverse 1 also whether smoothed.
-_ARGOVERSE2: Sequence[tuple[str, str | Mapping[str, float]]] = (
-    ("paper: Argoverse 2", PAPER_ORIGINAL),
-    ("ours: recorded scenes", "original"),
-    ("paper: HiD2", PAPER_HID2),
-    ("ours: recorded and generated", "combined"),
-    ("ours: generated vehicles alone", "generated"),
-)
-_ARGOVERSE1: Sequence[tuple[str, str | Mapping[str, float], bool]] = (
-    ("paper: Argoverse 1", PAPER_ARGOVERSE1, False),
-    ("ours: Argoverse 1, recorded, positions as they are", "original", False),
-    ("ours: Argoverse 1, recorded, smoothed, tracks seen at every step", "original", True),
-    ("paper: HiD2 on Argoverse 1", PAPER_HID2_ARGOVERSE1, False),
-    ("ours: Argoverse 1, recorded and generated, positions as they are", "combined", False),
-    ("ours: Argoverse 1, recorded and generated, smoothed, tracks seen at every step", "combined", True),
-    ("ours: Argoverse 1, generated vehicles alone", "generated", False),
+#: Lines of Table 1: the scenes they are of, and the paper's figures for these or the group of ours.
+_TABLE1: Sequence[tuple[str, str, str | Mapping[str, float]]] = (
+    ("paper: Argoverse 2", _OTHER, PAPER_ORIGINAL),
+    ("ours: recorded scenes", _OTHER, "original"),
+    ("paper: HiD2", _OTHER, PAPER_HID2),
+    ("ours: recorded and generated", _OTHER, "combined"),
+    ("ours: generated vehicles alone", _OTHER, "generated"),
+    ("paper: Argoverse 1", _ROUGH, PAPER_ARGOVERSE1),
+    ("ours: Argoverse 1, recorded, positions as they are", _ROUGH, "original"),
+    ("ours: Argoverse 1, recorded, smoothed, tracks seen at every step", _SMOOTHED, "original"),
+    ("paper: HiD2 on Argoverse 1", _ROUGH, PAPER_HID2_ARGOVERSE1),
+    ("ours: Argoverse 1, recorded and generated, positions as they are", _ROUGH, "combined"),
+    ("ours: Argoverse 1, recorded and generated, smoothed, tracks seen at every step", _SMOOTHED, "combined"),
+    ("ours: Argoverse 1, generated vehicles alone", _ROUGH, "generated"),
 )
 _MADE_BY = {"tracker": "tracked on board", "human": "labelled by people"}
 
@@ -260,24 +259,19 @@ def lines_of(name: Experiment, rows: _Rows, generating: Sequence[str]) -> list[L
     """The lines of an experiment's table, but for diversity, which has none. generating: settings that add vehicles."""
     lines: list[Line] = []
     if name == "table1":
-        first, second = (
-            [row for row in rows["hid2"] if (row["format"] == "argoverse1") is one] for one in (True, False)
-        )
-        for label, what in _ARGOVERSE2 if second else ():
-            lines.append(_line(label, second, what))
-            for provenance, how in _MADE_BY.items() if what in ("original", "combined") else ():
-                own = [row for row in second if row["provenance"] == provenance]
-                if 0 < len(own) < len(second):  # each kind apart as well
+        by_kind = {_SMOOTHED: rows.get(_SMOOTHED, []), _ROUGH: list[Row](), _OTHER: list[Row]()}
+        for row in rows["hid2"]:
+            by_kind[_ROUGH if row["format"] == _ROUGH else _OTHER].append(row)
+        for label, kind, what in _TABLE1:
+            if every := by_kind[kind]:
+                lines.append(_line(label, every, what))
+            for provenance, how in _MADE_BY.items() if kind == _OTHER and what in ("original", "combined") else ():
+                own = [row for row in every if row["provenance"] == provenance]
+                if 0 < len(own) < len(every):  # each kind apart as well
                     count = len({row["source"] for row in own})
                     lines.append(_line(f"{label}, {how} ({count} scene{'s' * (count != 1)})", own, what))
-        return lines + [
-            _line(label, rows[_SMOOTHED] if is_smoothed else first, what)
-            for label, what, is_smoothed in _ARGOVERSE1
-            if first
-        ]
+        return lines
     for asked, own in rows.items():
-        if asked == _SMOOTHED:
-            continue
         said = f"{asked} asked for:"
         if name == "ablation":
             what = "everything on" if asked == "full" else f"without {asked}"
@@ -304,7 +298,7 @@ _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 
 def _density(rows: _Rows, generating: Sequence[str]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
-    series = [(_placed(own), SourceSums(own), one in generating) for one, own in rows.items() if one != _SMOOTHED]
+    series = [(_placed(own), SourceSums(own), one in generating) for one, own in rows.items()]
     series.sort(key=lambda one: one[0])
 
     def points(metric: Metric, group: str) -> list[tuple[float, Estimate]]:

@@ -1,7 +1,7 @@
 """Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -206,20 +206,17 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
 
 def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
     """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by the groups of the two."""
-    row: Row = dict.fromkeys(PAIR_COLUMNS, 0)
-
-    def of(pair: Overlap | Encroachment) -> str:
-        return PAIR_GROUPS[int(arrays.generated[pair.first]) + int(arrays.generated[pair.second])]
-
-    for pair in safe.overlaps:
-        row[f"touching_all_{of(pair)}"] += 1
-        if pair.iou > IOU_THRESHOLD:
-            row[f"pairs_all_{of(pair)}"] += 1
-            row[f"pairs_vehicles_{of(pair)}"] += int(arrays.vehicle[pair.first] and arrays.vehicle[pair.second])
-    for crossing in safe.encroachments:
-        row[f"crossings_{of(crossing)}"] += 1
-        row[f"pet_critical_{of(crossing)}"] += int(crossing.pet_s < CRITICAL.pet_min_s)
-    return row
+    hits = [pair for pair in safe.overlaps if pair.iou > IOU_THRESHOLD]
+    kinds: Mapping[str, Iterable[Overlap | Encroachment]] = {
+        "pairs_vehicles": (pair for pair in hits if arrays.vehicle[pair.first] and arrays.vehicle[pair.second]),
+        "pairs_all": hits,
+        "touching_all": safe.overlaps,
+        "crossings": safe.encroachments,
+        "pet_critical": (one for one in safe.encroachments if one.pet_s < CRITICAL.pet_min_s),
+    }
+    number = arrays.generated.astype(int)  # of inserted ones in a pair
+    counts = Counter((kind, number[one.first] + number[one.second]) for kind, found in kinds.items() for one in found)
+    return {f"{kind}_{group}": counts[kind, k] for kind in PAIR_KINDS for k, group in enumerate(PAIR_GROUPS)}
 
 
 def _request_row(sidecar: Sidecar | None) -> Row:
@@ -249,10 +246,13 @@ def _track_rows(
     hit = colliding(arrays, safe.overlaps)
     off = {"off_road": safe.off_road, "off_footprint": safe.off_footprint, "against_lane": safe.against_lane}
 
+    def known(values: FloatArray) -> list[float | None]:
+        """None where a value is not finite."""
+        return [value if np.isfinite(value) else None for value in values.tolist()]
+
     def least(values: FloatArray) -> list[float | None]:
-        """Smallest value of each agent, None where none is finite."""
-        found = np.minimum.reduceat(values, arrays.first[:-1]) if arrays.num_agents else values
-        return [float(value) if np.isfinite(value) else None for value in found]
+        """Smallest value of each agent."""
+        return known(np.minimum.reduceat(values, arrays.first[:-1]))
 
     table: dict[str, Sequence[Any]] = {
         "track_id": arrays.track_ids,
@@ -272,7 +272,7 @@ def _track_rows(
         "min_ttc_s": least(np.where(safe.ttc_s < CAP_S, safe.ttc_s, np.inf)),
         "min_leader_ttc_s": least(safe.leaders.ttc_s),
         "min_time_gap_s": least(safe.leaders.time_gap_s),
-        "end_ttc_s": [value if np.isfinite(value) else None for value in end_ttc_s.tolist()],
+        "end_ttc_s": known(end_ttc_s),
         "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
         **{f"{name}_steps": np.add.reduceat(mask, arrays.first[:-1], dtype=int).tolist() for name, mask in off.items()},
     }

@@ -1,7 +1,7 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
 import hashlib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
+from bridge.recordings.sidecar import SelectionRecord
 from hid2.agents import FloatArray, Policy
 from hid2.evaluation.critics import critique
 from hid2.evaluation.metrics import GROUPS, METRICS, Metric, MetricTable, columns
@@ -225,13 +226,10 @@ class Totals:
         self.maneuvers = ManeuverCounts()
         self.samples, self.control = Samples(), Samples()
         self.events: list[Row] = []
-        self.event_counts: Counter[tuple[str, str]] = Counter()
         self._sources: dict[str, str] = {}  # and the log of each
         self._counts: Counter[str] = Counter()
-        self._rejected: Counter[str] = Counter()
-        self._selection: dict[str, Counter[str]] = {}
-        self._wanted: Counter[str] = Counter()  # shares
-        self._findings: Counter[str] = Counter()
+        #: By what is counted: reasons, shares wanted, quantities, events, and what each part of the selection has.
+        self._told: defaultdict[str, Counter[Any]] = defaultdict(Counter)
 
     def add(self, measures: SceneMeasures) -> None:
         """Take a scene in."""
@@ -241,7 +239,7 @@ class Totals:
         self.diversity.add(row, "generated", "after")
         self.maneuvers.add(measures.tables["maneuvers"])
         events = measures.tables["events"]
-        self.event_counts.update((str(event["kind"]), str(event["status"])) for event in events)
+        self._told["events"].update((event["kind"], event["status"]) for event in events)
         self.events += events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
         as_recorded = source not in self._sources and source not in self._measured_sources
@@ -267,7 +265,7 @@ class Totals:
 
     def content(self) -> dict[str, Any]:
         """The parts of metrics.json that the scenes tell."""
-        counts = self._counts
+        counts, told = self._counts, self._told
         return {
             "scenes": {
                 "scenes": counts["scenes"],
@@ -279,14 +277,14 @@ class Totals:
             "safety": table(self.sums, "safety")
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "judge": {
-                quantity.value: {"findings": self._findings[quantity.value], "limit": quantity.sentence}
+                quantity.value: {"findings": told["findings"][quantity.value], "limit": quantity.sentence}
                 for quantity in Quantity
-                if self._findings[quantity.value]
+                if told["findings"][quantity.value]
             },
             "encounters": table(self.sums, "encounters"),
             "events": {
-                kind: {status: self.event_counts[kind, status] for status in ("done", "not_feasible")}
-                for kind in sorted({kind for kind, _ in self.event_counts})
+                kind: {status: told["events"][kind, status] for status in ("done", "not_feasible")}
+                for kind in sorted({kind for kind, _ in told["events"]})
             },
             "diversity": self.diversity.content(),
             "realism": {
@@ -298,9 +296,9 @@ class Totals:
                 "requested": counts["requested"],
                 "placed": counts["placed"],
                 "placed_of_requested": counts["placed_of_requested"],
-                "rejected": dict(self._rejected.most_common()),
-                "wanted": {name: total / counts["wanted"] for name, total in self._wanted.items()},
-                "selection": {name: dict(counts) for name, counts in self._selection.items()},
+                "rejected": dict(told["rejected"].most_common()),
+                "wanted": {name: total / counts["wanted"] for name, total in told["wanted"].items()},
+                "selection": {name: dict(told[name]) for name in SelectionRecord.model_fields if name in told},
                 "maneuvers": self.maneuvers.content(),
             },
         }
@@ -310,11 +308,9 @@ class Totals:
         self._counts.update(scenes=1, generated_scenes=row["generated"] > 0, wanted=bool(row["wanted"]))
         if row["requested"] is not None:
             self._counts.update(requested=row["requested"], placed_of_requested=row["placed"])
-        self._rejected.update(row["rejected"] or {})
-        for name, told in (row["selection"] or {}).items():
-            self._selection.setdefault(name, Counter()).update(told)
-        self._wanted.update(row["wanted"] or {})
-        self._findings.update(row["findings"])
+        parts = {name: row[name] for name in ("rejected", "wanted", "findings")} | (row["selection"] or {})
+        for name, part in parts.items():
+            self._told[name].update(part or {})
 
 
 class Evaluation(NamedTuple):
@@ -330,14 +326,10 @@ class Evaluation(NamedTuple):
 
 def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
     """Quantiles of generated and recorded vehicles side by side."""
+    rows = {"generated": GENERATED, "recorded": RECORDED}
     return [
-        {
-            "feature": feature.name,
-            "unit": feature.unit,
-            "shares": list(TAIL_SHARES),
-            "generated": quantiles(feature, realism.of(feature)[GENERATED], TAIL_SHARES),
-            "recorded": quantiles(feature, realism.of(feature)[RECORDED], TAIL_SHARES),
-        }
-        for feature in FEATURES
-        if feature.name in TAILS
+        {"feature": one.name, "unit": one.unit, "shares": list(TAIL_SHARES)}
+        | {kind: quantiles(one, realism.of(one)[row], TAIL_SHARES) for kind, row in rows.items()}
+        for one in FEATURES
+        if one.name in TAILS
     ]

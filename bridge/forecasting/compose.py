@@ -208,8 +208,7 @@ class _Pool:
             ):
                 if number and not among:
                     raise ConfigError(f"{where}: nothing of {source!r} to draw again in {split}; take some")
-                for index in range(number):
-                    fact = among[index % len(among)]
+                for fact in itertools.islice(itertools.cycle(among), number):
                     copies[fact.scenario_id] += 1
                     scenes.append(_origin(split, source, fact, copy=copies[fact.scenario_id]))
         twice = [name for name, number in Counter(scene.scenario_id for scene in scenes).items() if number > 1]
@@ -244,8 +243,7 @@ class _Pool:
         names = sorted(strata)
         exact = np.array([number * len(strata[name]) / len(facts) for name in names])
         counts = np.floor(exact).astype(int)
-        for k in np.argsort(-(exact - counts), kind="stable")[: number - counts.sum()]:
-            counts[k] += 1
+        counts[np.argsort(-(exact - counts), kind="stable")[: number - counts.sum()]] += 1
         chosen = {fact.scenario_id for name, count in zip(names, counts, strict=True) for fact in strata[name][:count]}
         return [fact for fact in facts if fact.scenario_id in chosen]
 
@@ -257,10 +255,9 @@ def _densest(facts: Iterable[SourceScene], agents: Callable[[SourceScene], int])
 
 def _origin(split: str, source: str, fact: SourceScene, *, copy: int = 0) -> Origin:
     """A scene that is drawn. copy: 0, or which further copy of it, with an id of its own."""
-    own = fact.scenario_id
-    name = copy_id(own, copy) if copy else own
-    of = fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder)
-    return Origin(split, name, "copy" if copy else fact.kind, source, own, *of)
+    own, of = fact.scenario_id, (fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder))
+    name, kind = (copy_id(own, copy), "copy") if copy else (own, fact.kind)
+    return Origin(split, name, kind, source, own, *of)
 
 
 def _put(scene: Origin, place: Path) -> None:

@@ -5,6 +5,7 @@ forecaster is trained on each with every seed, the same number of updates each; 
 are scored and compared in pairs. Forecasts from elsewhere on a composed root take the place of the first three steps.
 """
 
+import itertools
 import logging
 import shutil
 import sys
@@ -173,15 +174,13 @@ def _train(composed: Path, models: Path, plan: TrainingPlan, *, jobs: int, tell:
         Task(name, work, (composed / name / "train", validation, models / name, plan.params.updates), seeds)
         for name in SETS
     ]
-    done, total = 0, len(SETS) * plan.seeds
-    tell("training", 0, total)
+    tell("training", 0, len(SETS) * plan.seeds)
     settings = Settings(timeout_s=86_400, memory_mb=32_000)  # torch reserves more than it uses
-    for outcomes in execute_here(tasks, jobs=min(jobs, len(SETS)), settings=settings):
+    for done, outcomes in enumerate(execute_here(tasks, jobs=min(jobs, len(SETS)), settings=settings), 1):
         for outcome in outcomes:
             if outcome.failure is not None:
                 raise BatchError(f"training on {outcome.task.key}, seed {outcome.item}: {outcome.failure.message}")
-            done += 1
-        tell("training", done, total)
+        tell("training", done * plan.seeds, len(SETS) * plan.seeds)
 
 
 def check_forecaster() -> None:
@@ -228,19 +227,16 @@ def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds
 
 def _scores(composed: Path, predictions: Path, seeds: Sequence[int] | None, *, jobs: int, tell: Progress) -> _Scores:
     """Scores by validation set and training set, a table for each seed. Errors: ConfigError for a missing file."""
-    files = {(on, name): _files(predictions / name, f"{on}.parquet", seeds) for name in SETS for on in (RECORDED, HID2)}
+    pairs = itertools.product(SETS, (RECORDED, HID2))
+    files = [(on, name, path) for name, on in pairs for path in _files(predictions / name, f"{on}.parquet", seeds)]
     runs: _Scores = {RECORDED: {}, HID2: {}}
-    done, total = 0, sum(map(len, files.values()))
-    for (on, name), found in files.items():
-        runs[on][name] = each = []
-        for path in found:
-            place = composed / VALIDATION / on / "val"
-            scores, left_out = scoring.score_predictions(place, predictions=path, jobs=jobs)
-            if left_out:
-                raise ScenarioError(f"{path}: {len(left_out)} not scored, the first: {left_out[0]}")
-            each.append(scores)
-            done += 1
-            tell("scoring", done, total)
+    for done, (on, name, path) in enumerate(files, 1):
+        place = composed / VALIDATION / on / "val"
+        scores, left_out = scoring.score_predictions(place, predictions=path, jobs=jobs)
+        if left_out:
+            raise ScenarioError(f"{path}: {len(left_out)} not scored, the first: {left_out[0]}")
+        runs[on].setdefault(name, []).append(scores)
+        tell("scoring", done, len(files))
     return runs
 
 

@@ -4,7 +4,7 @@ Two scenes are kept on one side where one was generated from the other, where th
 slice_id, where a file has one), and where their maps share a square of ground: neighbouring windows of a drive do.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from bridge.recordings.scenario import OBSERVED_STEPS, log_of, read_scenario
 from bridge.recordings.sidecar import REACTIVE, Sidecar, sidecar_in
 from hid2.params import Forecasting
 from netconvert.errors import ScenarioError
-from netconvert.lane_graph import LaneGraph, joined
+from netconvert.lane_graph import joined
 
 #: Cells a side of the square in which the cells of a city are numbered.
 _SIDE = 1 << 20
@@ -75,7 +75,9 @@ def facts_of_scenes(
 def describe(params: Forecasting, folder: Path) -> SourceScene:
     """Read one scene, by all rules that its readers have. Errors: ScenarioError, MapError, as of `read_scenario`."""
     sidecar, scene = generated_sidecar(folder), read_scenario(folder)
-    cells, block = _ground(scene.graph, params)
+    points = np.concatenate([line for lane in scene.graph.lanes.values() for line in (lane.centerline, *lane.sides)])
+    cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
+    middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
     return SourceScene(
         folder=folder,
         scenario_id=scene.scenario_id,
@@ -85,8 +87,8 @@ def describe(params: Forecasting, folder: Path) -> SourceScene:
         tracks=len(scene.tracks),
         observed=sum(OBSERVED_STEPS - 1 in track.timesteps for track in scene.tracks),
         log=log_of(scene.table),
-        cells=cells,
-        block=block,
+        cells=np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(),
+        block=(int(middle[0]), int(middle[1])),
         inserted=0 if sidecar is None else len(sidecar.agents),
     )
 
@@ -96,14 +98,6 @@ def generated_sidecar(folder: Path) -> Sidecar | None:
     if word_for_recorded(folder.name) != "recorded":
         raise ScenarioError(f"{folder}: {REACTIVE}")
     return sidecar_in(folder)
-
-
-def _ground(graph: LaneGraph, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
-    """Cells and block of the points of a map's lanes."""
-    points = np.concatenate([line for lane in graph.lanes.values() for line in (lane.centerline, *lane.sides)])
-    cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
-    middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
-    return np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(), (int(middle[0]), int(middle[1]))
 
 
 # Groups and splits
@@ -137,15 +131,12 @@ def split_by_place(
     """
     groups = groups_of(facts)
     wanted = [split for split, share in shares.items() if share > 0]
-    strata = sorted({stratum(fact, bounds) for fact in facts})
-    column = {name: k for k, name in enumerate(strata)}
-    counts = np.zeros((len(groups), len(strata) + 1))  # the last column is the sum: small strata do not decide alone
-    counts[:, -1] = [len(rows) for rows in groups]
-    for number, rows in enumerate(groups):
-        for row in rows:
-            counts[number, column[stratum(facts[row], bounds)]] += 1
+    each = [Counter(stratum(facts[row], bounds) for row in rows) for rows in groups]
+    strata = sorted({name for one in each for name in one})
+    # the last column is the sum: small strata do not decide alone
+    counts = np.array([[*(one[name] for name in strata), one.total()] for one in each]).reshape(-1, len(strata) + 1)
     target = np.outer([shares[split] for split in wanted], counts.sum(axis=0))
-    have, number_of = np.zeros_like(target), np.zeros(len(wanted), dtype=int)
+    have, number_of = np.zeros(target.shape), np.zeros(len(wanted), dtype=int)
     chosen: dict[str, list[int]] = {split: [] for split in shares}
     shuffled = np.random.default_rng(seed).permutation(len(groups))
     order = sorted(shuffled.tolist(), key=lambda number: -len(groups[number]))
@@ -163,10 +154,7 @@ def split_by_place(
 
 def leaks_between(facts: Sequence[SourceScene], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
     """Scenes for training that are, or come from, or lie where one of those held out does. Each is named once."""
-    known: dict[tuple[object, ...], int] = {}
-    for row in held_out:
-        for sign, _ in _signs(facts[row]):
-            known.setdefault(sign, row)
+    known = {sign: row for row in reversed(held_out) for sign, _ in _signs(facts[row])}  # by the first of each
     found = []
     for row in training:
         leak = next(((known[sign], why) for sign, why in _signs(facts[row]) if sign in known), None)

@@ -26,7 +26,7 @@ from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios, source_id
 from bridge.recordings.recording import Rows
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, read_rows
-from hid2.agents import FloatArray, IntArray, Track
+from hid2.agents import FloatArray, IntArray
 from hid2.params import Forecasting
 from hid2.resampling import UNITS_LEAST, Estimate, draws, interval
 from netconvert.errors import ConfigError, ScenarioError
@@ -115,13 +115,6 @@ def score_predictions(
     return scores, left_out
 
 
-def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[_ScoreRow], list[str]]:
-    """Scores of a scene by its forecast, and what of it cannot be scored."""
-    rows, forecast = read_rows(item[0]), item[1]
-    own = baseline(rows, forecast) if isinstance(forecast, str) else forecast
-    return ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
-
-
 def read_forecasts(path: Path) -> Forecasts:
     """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that is not finite."""
     try:
@@ -171,25 +164,21 @@ def baseline(scene: Rows, kind: Baseline) -> Forecast:
     N: steps that are not observed, 60 in scenes of 110.
     """
     track = next(track for track in scene.tracks if track.track_id == scene.focal_track_id)
-    modes = np.stack([_forecast(track, kind, share, scene) for share, _ in _MODES])
-    return np.array([probability for _, probability in _MODES]), {track.track_id: modes}
-
-
-def _forecast(track: Track, kind: Baseline, share: float, scene: Rows) -> FloatArray:
-    """(N, 2) m: on at the observed velocity, or at the observed speed and turn rate; `share` scales what is varied."""
+    shares, probabilities = np.array(_MODES).T  # of the observed velocity, or of the turn rate at the observed speed
     observed = np.flatnonzero(track.timesteps <= scene.last_observed)[-_HISTORY - 1 :]
     last = observed[-1]
     seconds = (track.timesteps[last] - track.timesteps[observed[0]]) * scene.step_s
     velocity = (track.position[last] - track.position[observed[0]]) / seconds if seconds > 0 else track.velocity[last]
     ahead = np.arange(1, _future_steps(scene) + 1) * scene.step_s
     if kind == "constant-velocity":
-        return np.asarray(track.position[last] + share * ahead[:, None] * velocity, dtype=np.float64)
-    heading = np.unwrap(track.heading[observed])
-    rate = share * float(heading[-1] - heading[0]) / seconds if seconds > 0 else 0.0
-    half = 0.5 * rate * ahead  # of the angle turned by: a chord has the direction of its middle
-    chord_m, direction = np.hypot(*velocity) * ahead * np.sinc(half / np.pi), heading[-1] + half
-    moved = np.column_stack([chord_m * np.cos(direction), chord_m * np.sin(direction)])
-    return np.asarray(track.position[last] + moved, dtype=np.float64)
+        moved = shares[:, None, None] * ahead[:, None] * velocity
+    else:
+        heading = np.unwrap(track.heading[observed])
+        rates = shares * (heading[-1] - heading[0]) / seconds if seconds > 0 else np.zeros(len(shares))
+        half = 0.5 * rates[:, None] * ahead  # of the angle turned by: a chord has the direction of its middle
+        chord_m, direction = np.hypot(*velocity) * ahead * np.sinc(half / np.pi), heading[-1] + half
+        moved = np.stack([chord_m * np.cos(direction), chord_m * np.sin(direction)], axis=-1)
+    return probabilities, {track.track_id: track.position[last] + moved}
 
 
 def _future_steps(scene: Rows) -> int:
@@ -197,8 +186,12 @@ def _future_steps(scene: Rows) -> int:
     return scene.num_steps - scene.observed_steps if scene.num_steps > scene.observed_steps else FUTURE_STEPS
 
 
-def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[_ScoreRow], list[str]]:
-    probabilities, by_track = forecast
+def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[_ScoreRow], list[str]]:
+    """Scores of a scene by its forecast, and what of it cannot be scored."""
+    scene, forecast = read_rows(item[0]), item[1]
+    if forecast is None:
+        return [], [f"{scene.scenario_id}: no forecast"]
+    probabilities, by_track = baseline(scene, forecast) if isinstance(forecast, str) else forecast
     order = np.argsort(-np.asarray(probabilities), kind="stable")
     tracks = {track.track_id: track for track in scene.tracks}
     observed = sum(scene.last_observed in track.timesteps for track in scene.tracks)

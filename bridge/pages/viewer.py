@@ -243,17 +243,13 @@ def _looks(path: Path, table: bytes | None, exported: Collection[str]) -> dict[s
         return found
     try:
         content = read_packed(path, most_mb=MAX_FILE_MB) if table is None else table
-        rows = list(csv.DictReader(io.StringIO(content.decode())))
-        names = {row["vehicle"]: row["track_id"] for row in rows if row["track_id"] in exported}
-        for row in rows:
-            if row["track_id"] in exported:  # the others' ids in the simulation become those of exported tracks
-                values = [names.get(row[column], row[column]) or None for column in LOOK_COLUMNS]
-                found.setdefault(row["track_id"], []).append(
-                    [
-                        rounded(float(value)) if column in _NUMBERS and value else value
-                        for column, value in zip(LOOK_COLUMNS, values, strict=True)
-                    ]
-                )
+        rows = [row for row in csv.DictReader(io.StringIO(content.decode())) if row["track_id"] in exported]
+        names = {row["vehicle"]: row["track_id"] for row in rows}
+        for row in rows:  # ids in the simulation become those of exported tracks
+            told = ((column, names.get(row[column], row[column]) or None) for column in LOOK_COLUMNS)
+            found.setdefault(row["track_id"], []).append(
+                [rounded(float(value)) if column in _NUMBERS and value else value for column, value in told]
+            )
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise ScenarioError(
             f"{path}: {one_line(str(error), most=200)}; expected the table of hid2 generate --record gaps, or no such "

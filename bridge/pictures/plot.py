@@ -9,12 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bridge.pictures import figures
+from bridge.recordings.judging import recording_states
 from bridge.recordings.recording import Recording
 from hid2.agents import FloatArray, Track
 from hid2.evaluation.kinematics import motion
-from hid2.measures.arrays import stack
 from hid2.measures.driven_lanes import LaneView, first_lane_offset
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Limits
 from hid2.policy.behaviours import behaviour_seen
@@ -37,15 +36,14 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's, of recorded ones as seen.
     """
     track = scenario.track(agent_id)
-    arrays, lanes = stack([track], step_s=scenario.step_s), flatten_lanes(scenario.graph)
-    view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
+    view = recording_states(scenario, [track])
     moments, note = _moments(scenario, agent_id, detect(view))
     time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
     figure = figures.ShownFigure(figsize=(9.5, 11.5), layout="constrained")
     axes = figure.subplots(6, 1, height_ratios=[2.2, 1, 1, 1, 1, 1])
     _plan(axes[0], scenario, track, moments, time)
-    limits, moved = Limits(), motion(arrays)
+    limits, moved = Limits(), motion(view.arrays)
     axes[1].plot(time, moved.speed_mps, color=figures.BLUE)
     axes[1].set(ylabel="speed, m/s", ylim=(0, max(1.0, float(moved.speed_mps.max()) * 1.15)))
     accel = {"longitudinal": moved.accel_mps2, "lateral": moved.lateral_accel_mps2}

@@ -73,13 +73,9 @@ def observed_s(requests: pd.DataFrame, key: str, *, give_up_s: float) -> float:
 
     At a value at which the one that waited longest accepted, all is known.
     """
-    found = [give_up_s]
-    for _, own in requests.groupby(key):
-        accepted = own["accepted"].astype(bool)
-        censored_s, accepted_s = own.loc[~accepted, "waited_s"].max(), own.loc[accepted, "waited_s"].max()
-        if not (np.isnan(censored_s) or censored_s < accepted_s):
-            found.append(float(censored_s))
-    return min(found)
+    longest = requests.groupby([key, requests["accepted"].astype(bool)])["waited_s"].max().unstack()
+    censored_s, accepted_s = (longest.get(accepted, pd.Series(np.nan, longest.index)) for accepted in (False, True))
+    return float(np.nanmin([give_up_s, censored_s.mask(censored_s < accepted_s).min()]))
 
 
 # Per value ------------------------------------------------------------------------------------------------------------
@@ -139,40 +135,33 @@ def dose_response(
         clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]
         alone = np.array([statistic((clusters == one).astype(np.float64)) for one in range(clusters.max() + 1)])
         same = {"parameter": key, "outcome": outcome.name, "clusters": int((np.isfinite(alone).sum(axis=1) > 1).sum())}
+        within = {"within_s": within_s} if outcome.above is None else {}
         own: list[dict[str, Any]] = [
-            {**same, "value": value, "rows": int((of & (code == place)).sum())} for place, value in enumerate(values)
+            {**same, "value": value, "rows": int((of & (code == place)).sum()), **within}
+            for place, value in enumerate(values)
         ]
-        for row in own if outcome.above is None else ():
-            row["within_s"] = within_s
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
             if unit == "runs" and not isinstance(values[0], str):
-                trend = _trend(np.array(values, dtype=np.float64), whole, draws, alone)
-                for row in own:
-                    row |= trend
+                whole_slope, slopes, apart = (_slopes(values, part) for part in (whole[None], draws, alone))
+                trend, low, high = interval(float(whole_slope[0]), slopes)
+                told = {"trend": trend, "trend_low": low, "trend_high": high, "p": few_clusters_p(apart)}
+                for row in own if trend is not None else ():
+                    row |= told
             for place, row in enumerate(own):
                 row["estimate"], row[f"low_{unit}"], row[f"high_{unit}"] = interval(whole[place], draws[:, place])
-                row["difference"], *apart = interval(whole[place] - whole[0], draws[:, place] - draws[:, 0])
-                row[f"difference_low_{unit}"], row[f"difference_high_{unit}"] = apart
+                row["difference"], *ends = interval(whole[place] - whole[0], draws[:, place] - draws[:, 0])
+                row[f"difference_low_{unit}"], row[f"difference_high_{unit}"] = ends
         rows += own
     return _adjusted(pd.DataFrame(rows))
 
 
-def _slopes(values: FloatArray, outcomes: FloatArray) -> FloatArray:
+def _slopes(values: Sequence[float], outcomes: FloatArray) -> FloatArray:
     """Slope (N,) of outcomes (N, K) over the K values, least squares, of those that are known; NaN below two."""
     y = np.ma.masked_invalid(outcomes)
-    x = np.ma.array(np.broadcast_to(values, outcomes.shape), mask=np.ma.getmaskarray(y))
+    x = np.ma.array(np.broadcast_to(np.array(values, dtype=np.float64), outcomes.shape), mask=np.ma.getmaskarray(y))
     away = x - x.mean(axis=1)[:, None]
     return np.ma.filled((away * y).sum(axis=1) / (away * away).sum(axis=1), np.nan)
-
-
-def _trend(values: FloatArray, whole: FloatArray, draws: FloatArray, alone: FloatArray) -> dict[str, Any]:
-    """Slope of an outcome over all values of a parameter, with interval by draws and p by clusters alone (C, K)."""
-    slope, slopes = float(_slopes(values, whole[None])[0]), _slopes(values, alone)
-    found = interval(slope, _slopes(values, draws))
-    if found.value is None:
-        return {}
-    return {"trend": found.value, "trend_low": found.low, "trend_high": found.high, "p": few_clusters_p(slopes)}
 
 
 def few_clusters_p(effects: FloatArray) -> float | None:

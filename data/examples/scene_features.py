@@ -127,31 +127,33 @@ def _target(
     turn = _turn(heading)
     apart = np.where(history[:, _LAST, 6] > 0, np.hypot(*(history[:, _LAST, :2] - origin).T), np.inf)
     apart[row] = -1.0  # the target is the first
-    nearest = [k for k in np.argsort(apart, kind="stable")[:AGENTS] if apart[k] <= RADIUS_M]
-    steps = np.arange(_LAST, -1, -HISTORY_EVERY)[::-1]
-    agents = np.zeros((AGENTS, len(steps), AGENT_FEATURES), dtype=np.float32)
-    agent_kinds = np.zeros((AGENTS, AGENT_KINDS), dtype=np.float32)
-    states = history[np.ix_(nearest, steps)]
+    nearest = _nearest(apart, AGENTS)
+    states = history[np.ix_(nearest, np.arange(_LAST, -1, -HISTORY_EVERY)[::-1])]
     moved = (states[..., :2] - origin) @ turn / UNIT_M, states[..., 2:4] @ turn, states[..., 4:6] @ turn / UNIT_M
-    agents[: len(nearest)] = np.concatenate([*moved, states[..., 6:]], axis=-1) * states[..., 6:]
-    for slot, k in enumerate(nearest):
-        agent_kinds[slot, _KIND.get(scenario.tracks[k].object_type, 3)] = 1
+    agents = np.concatenate([*moved, states[..., 6:]], axis=-1) * states[..., 6:]
+    agent_kinds = np.eye(AGENT_KINDS)[[_KIND.get(scenario.tracks[k].object_type, 3) for k in nearest]]
     agent_kinds[0, 4] = 1
-
-    near = np.hypot(*np.moveaxis(lanes[..., :2] - origin, -1, 0)).min(axis=1)
-    chosen = [k for k in np.argsort(near, kind="stable")[:LANES] if near[k] <= RADIUS_M]
-    own_lanes = np.zeros((LANES, LANE_POINTS, LANE_FEATURES), dtype=np.float32)
-    own_kinds = np.zeros((LANES, LANE_KINDS), dtype=np.float32)
+    chosen = _nearest(np.hypot(*np.moveaxis(lanes[..., :2] - origin, -1, 0)).min(axis=1), LANES)
     shape = lanes[chosen]
-    own_lanes[: len(chosen)] = np.concatenate([(shape[..., :2] - origin) @ turn / UNIT_M, shape[..., 2:] @ turn], -1)
-    own_kinds[: len(chosen)] = lane_kinds[chosen]
-
+    own_lanes = np.concatenate([(shape[..., :2] - origin) @ turn / UNIT_M, shape[..., 2:] @ turn], axis=-1)
+    around = (agents, AGENTS), (agent_kinds, AGENTS), (own_lanes, LANES), (lane_kinds[chosen], LANES)
     ahead = track.timesteps >= OBSERVED_STEPS
     is_whole = ahead.sum() == FUTURE_STEPS and track.timesteps[-1] == MAX_STEPS - 1
     future = np.asarray((track.position[ahead] - origin) @ turn / UNIT_M, dtype=np.float32) if is_whole else None
-    seen = TargetView(agents, agent_kinds, own_lanes, own_kinds, future)
+    seen = TargetView(*(_padded(values, most) for values, most in around), future)
     is_focal = track.category == FOCAL_CATEGORY
     return ForecastTarget(scenario.scenario_id, track.track_id, is_focal, seen, origin.copy(), heading)
+
+
+def _nearest(apart_m: FloatArray, most: int) -> npt.NDArray[np.int64]:
+    """Numbers of those within RADIUS_M by their distance, nearest first, at most so many."""
+    order = np.argsort(apart_m, kind="stable")[:most]
+    return order[apart_m[order] <= RADIUS_M]
+
+
+def _padded(values: FloatArray, most: int) -> npt.NDArray[np.float32]:
+    """The same, with rows of zeros behind to so many."""
+    return np.pad(values, [(0, most - len(values)), *[(0, 0)] * (values.ndim - 1)]).astype(np.float32)
 
 
 def _lanes(scenario: Recording) -> tuple[FloatArray, FloatArray]:

@@ -5,8 +5,6 @@ a track, as `numpy.gradient`), at the true times of the steps.
 """
 
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -29,19 +27,10 @@ class Kinematics:
     counted: BoolArray
 
 
-def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
-    """Time derivative of a row-wise quantity (N,) or (N, K), track by track; 0 for tracks of one row."""
-    found = np.zeros(values.shape)
-    for first, end in pairwise(arrays.first.tolist()):
-        if end - first > 1:
-            found[first:end] = np.gradient(values[first:end], arrays.step_s * arrays.step[first:end], axis=0)
-    return found
-
-
 def motion(arrays: SceneArrays) -> MotionProfile:
     """Derivatives at every row of a scene, from positions and headings."""
     heading = np.concatenate([np.zeros(0), *map(np.unwrap, np.split(arrays.heading, arrays.first[1:-1]))])
-    return MotionProfile.of(derivative(arrays.position, arrays), heading, partial(derivative, arrays=arrays))
+    return MotionProfile.of(arrays.derivative(arrays.position), heading, arrays.derivative)
 
 
 def kinematics(arrays: SceneArrays, moved: MotionProfile) -> Kinematics:

@@ -105,24 +105,17 @@ def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArra
     return found
 
 
-def _against_lane(view: LaneView) -> BoolArray:
-    """Rows (N,) of moving vehicles that drive against their lanes, as the judge sees it."""
-    arrays, against = view.arrays, np.zeros(len(view.arrays.step), dtype=bool)
-    rows = np.flatnonzero(arrays.moving_vehicles[arrays.agent] & (np.hypot(*arrays.velocity.T) > MOVES_MPS))
-    angle, limit = against_lane_deg(view, rows)
-    against[rows] = angle > limit
-    return against
-
-
 def safety(view: LaneView) -> Safety:
     """Every measure of safety of a scene."""
     arrays, graph = view.arrays, view.lanes.graph
+    moves = np.flatnonzero(arrays.moving_vehicles[arrays.agent] & (np.hypot(*arrays.velocity.T) > MOVES_MPS))
+    angle, limit = against_lane_deg(view, moves)
     return Safety(
         overlaps=overlaps(arrays),
         encroachments=encroachments(arrays),
         off_road=off_road(arrays.position, graph),
         off_footprint=off_footprint(arrays, graph),
-        against_lane=_against_lane(view),
+        against_lane=np.isin(np.arange(len(arrays.step)), moves[angle > limit]),
         ttc_s=time_to_collision(arrays, cap_s=CAP_S)[0],
         leaders=leaders(view),
     )

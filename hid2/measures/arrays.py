@@ -90,11 +90,7 @@ class SceneArrays:
     @property
     def driven(self) -> "SceneArrays":
         """The same with velocities by the positions: those that a tracker states may be others for a second."""
-        xy, time_s, found = self.position, self.step * self.step_s, np.zeros_like(self.position)
-        for a, b in pairwise(self.first.tolist()):
-            if b - a > 1:  # one that is not seen for a while has unequal steps
-                found[a:b] = np.gradient(xy[a:b], time_s[a:b], axis=0)
-        return replace(self, velocity=found)
+        return replace(self, velocity=self.derivative(self.position))
 
     @property
     def rows_per_agent(self) -> IntArray:
@@ -135,6 +131,14 @@ class SceneArrays:
             **{name: getattr(self, name)[list(chosen)] for name in _BY_AGENT},
             **{name: np.ascontiguousarray(getattr(self, name)[rows]) for name in _BY_ROW},
         )
+
+    def derivative(self, values: FloatArray) -> FloatArray:
+        """Time derivative of a row-wise quantity (N,) or (N, K), track by track; 0 for tracks of one row."""
+        found, time_s = np.zeros(values.shape), self.step_s * self.step
+        for a, b in pairwise(self.first.tolist()):
+            if b - a > 1:  # one that is not seen for a while has unequal steps
+                found[a:b] = np.gradient(values[a:b], time_s[a:b], axis=0)
+        return found
 
     def mean_per_agent(self, values: FloatArray) -> FloatArray:
         """Mean of a row-wise quantity (N,) over each agent's rows: (A,)."""

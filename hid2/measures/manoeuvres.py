@@ -198,17 +198,12 @@ def lateral_speed(values: FloatArray, time: FloatArray) -> FloatArray:
 
 
 def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: FloatArray) -> tuple[int, bool]:
-    """Walk from row `at` until the lateral speed falls below the threshold: that row, and whether it did."""
-    row = at
-    while True:
-        following = row + direction
-        if not 0 <= following < len(slope) or not known[following]:
-            return row, False
-        if abs(time[following] - time[at]) > LONGEST_HALF_S:
-            return row, False
-        if slope[row] < LATERAL_SPEED_MPS and row != at:
-            return row, True
-        row = following
+    """The row from `at` on where the lateral speed falls below the threshold, else the last known; whether it did."""
+    rows = np.arange(at, len(slope) if direction > 0 else -1, direction)
+    there = known[rows] & (np.abs(time[rows] - time[at]) <= LONGEST_HALF_S)
+    rows = rows[: 1 + int(np.logical_and.accumulate(there[1:]).sum())]
+    slow = rows[1:-1][slope[rows[1:-1]] < LATERAL_SPEED_MPS]
+    return (int(slow[0]), True) if slow.size else (int(rows[-1]), False)
 
 
 # Turns

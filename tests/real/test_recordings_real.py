@@ -50,8 +50,6 @@ def _check_against_av2(graph: LaneGraph, theirs: ArgoverseStaticMap) -> None:
     assert set(graph.lanes) == set(theirs.vector_lane_segments)
     for lane_id, lane in graph.lanes.items():
         other = theirs.vector_lane_segments[lane_id]
-        assert lane.left_boundary is not None
-        assert lane.right_boundary is not None
         assert np.array_equal(lane.left_boundary, other.left_lane_boundary.xyz[:, :2])
         assert np.array_equal(lane.right_boundary, other.right_lane_boundary.xyz[:, :2])
         assert lane.lane_type == other.lane_type.value

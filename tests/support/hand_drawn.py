@@ -7,6 +7,7 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, Track
 from hid2.occupancy.traffic import Traffic
+from netconvert.geometry import Polyline
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
 
 SMALL_CAR = BoxSize(4.0, 2.0)
@@ -25,13 +26,13 @@ def draw_lane(
     right_mark: str = "DASHED_WHITE",
     width_m: float = 3.5,
 ) -> LaneSegment:
-    """A lane segment along points (m) without boundaries; left, right: ids of its neighbours."""
-    centerline = np.array(points, dtype=np.float64)
+    """A lane segment along points (m), half a width to both sides; left, right: ids of its neighbours."""
+    path = Polyline(np.array(points, dtype=np.float64))
     return LaneSegment(
         lane_id=lane_id,
-        centerline=centerline,
-        left_boundary=None,
-        right_boundary=None,
+        centerline=path.points,
+        left_boundary=path.xy(path.s, width_m / 2.0),
+        right_boundary=path.xy(path.s, -width_m / 2.0),
         lane_type=lane_type,
         is_intersection=is_intersection,
         successors=successors,
@@ -40,7 +41,7 @@ def draw_lane(
         left_mark_type=left_mark,
         right_mark_type=right_mark,
         width_m=width_m,
-        turn=turn_type(centerline, is_intersection=is_intersection),
+        turn=turn_type(path.points, is_intersection=is_intersection),
     )
 
 

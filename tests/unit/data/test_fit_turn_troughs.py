@@ -11,6 +11,7 @@ import pytest
 from hand_drawn import draw_track
 
 from bridge.config import load_config
+from hid2.measures.arrays import stack
 from hid2.params import Turn
 from hid2.policy.roads import turn_shape
 
@@ -75,13 +76,13 @@ def test_profile_is_speed_over_speed_at_the_entrance(script: ModuleType) -> None
     slowing = np.clip(t - 2.0, 0.0, 2.0)
     s = -20 + 10 * np.minimum(t, 2.0) + 10 * slowing - 1.25 * slowing**2 + 5 * np.maximum(t - 4.0, 0.0)
     car = draw_track(range(len(s)), s, heading=np.linspace(0.0, 2.0, len(s)))
-    arrays = script.stack([car], step_s=0.1)
+    arrays = stack([car], step_s=0.1)
     inside = np.flatnonzero((s > -0.01) & (s <= 20))
     profile = script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=1)
     assert profile[0] == 1.0
     assert 5.0 / 10.0 < profile[18] < 5.0 / 9.5
     jump = replace(car, position=np.column_stack([np.where(s > 8, s + 3.0, s), np.zeros(len(s))]))
-    unclean = script._profile(script.stack([jump], step_s=0.1), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
+    unclean = script._profile(stack([jump], step_s=0.1), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
     assert unclean is None
     assert script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=-1) is None
     assert script._profile(arrays, 0, inside[0], inside[3], s[inside[:4]] / 20, sign=1) is None  # a part of the lane
