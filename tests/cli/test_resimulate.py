@@ -5,8 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from written import copy_with_new_id, edit_rows
+
+from bridge.evaluation.resimulate import ResimulationPlan, resimulate_folders
+from netconvert.errors import ScenarioError
 
 Run = Callable[..., Any]
 HOW = ("--seeds", 2, "--write", 1)
@@ -61,6 +65,22 @@ def test_scenes_of_another_run_are_not_mixed_with_new_ones(hid2: Run, ended: Pat
     assert (result.returncode, f"{ended / 'scenes'}: is there already" in result.stderr) == (2, True), result.stderr
     result = hid2("resimulate", *scenes, "-o", ended / "new", "--seed", 2**31)
     assert (result.returncode, "request.seed = 2147483648, expected" in result.stderr) == (2, True), result.stderr
+
+
+def test_scenes_without_a_vehicle_to_drive_are_refused_with_the_commonest_reason(
+    data_scenes: dict[str, Path], tmp_path: Path, here: None
+) -> None:
+    """Two scenes in which every track stays where it is first seen."""
+
+    def stand(rows: pd.DataFrame) -> pd.DataFrame:
+        first = rows.groupby("track_id")[["position_x", "position_y"]].transform("first")
+        return rows.assign(**first, velocity_x=0.0, velocity_y=0.0)
+
+    for number in range(2):
+        name = f"{number:08}-0000-4000-8000-{0:012}"
+        edit_rows(copy_with_new_id(data_scenes["intersection"], tmp_path / name, name), stand)
+    with pytest.raises(ScenarioError, match=r"0 scenes with a vehicle to drive, .*; \d+ vehicles: parked, or stands"):
+        resimulate_folders([tmp_path], tmp_path.with_name("out"), ResimulationPlan(1))
 
 
 def test_same_request_gives_the_same_bytes_whatever_the_workers(
