@@ -147,6 +147,9 @@ def generate(
     from bridge.config import functions_of
 
     resolved = asked.resolved()
+    beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
+    asked_to = {"resume": running.resume, "memory_mb": running.scene_memory}
+    how = running.batch.options(selects=any(which), **asked_to, **beside)
     activity.doing("looking for scenes")
     folders = recordings(scenes, choices, activity, generated=False)
     if written.formats:
@@ -163,8 +166,6 @@ def generate(
     activity.doing("looking at the first scenes")
     named = named_behaviours(resolved.request, by_option=asked.behaviours is not None)
     check_request(folders, resolved, named, jobs=jobs)
-    beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
-    how = running.batch.options(resume=running.resume, memory_mb=running.scene_memory, **beside)
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))
     rows = run_batch(jobs_wanted, out, how, on_row=notes_of(activity, out, go_on="continue with --resume"))
