@@ -57,7 +57,7 @@ def data_folder() -> Path:
 
 @contextlib.contextmanager
 def table_file(path: Path) -> Iterator[IO[str]]:
-    """A file for `append_rows`, `beside` its place. Errors: ExportError."""
+    """A file for `table_text`, `beside` its place. Errors: ExportError."""
     with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
         yield stream
 
@@ -81,14 +81,14 @@ def write_json(path: Path, content: object) -> None:
 
 def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a CSV table. Errors: ExportError."""
-    with table_file(path) as stream:
-        append_rows(stream, [head])
-        append_rows(stream, rows)
+    write_text(path, table_text([head, *rows]))
 
 
-def append_rows(stream: IO[str], rows: Iterable[Iterable[object]]) -> None:
-    """Append rows to a CSV table: every table that hid2 writes for people goes through here."""
-    csv.writer(stream, lineterminator="\n").writerows(map(table_cell, row) for row in rows)
+def table_text(rows: Iterable[Iterable[object]]) -> str:
+    """Rows as lines of CSV: every table that hid2 writes for people goes through here."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(map(table_cell, row) for row in rows)
+    return text.getvalue()
 
 
 def table_cell(value: object) -> object:

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from bridge.files import MAX_FILE_MB, append_rows, explained, one_line, read_regular, table_file, untabled, write_text
+from bridge.files import MAX_FILE_MB, explained, one_line, read_regular, table_file, table_text, untabled, write_text
 from bridge.recordings.folders import SPLITS, WRITTEN
 from netconvert.errors import BatchError, ConfigError
 
@@ -187,9 +187,8 @@ def is_output(folder: Path) -> bool:
 
 
 def _line(row: ManifestRow) -> str:
-    text = io.StringIO()
-    append_rows(text, [[one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]])
-    said = text.getvalue().rstrip("\n")
+    cells = [one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]
+    said = table_text([cells]).rstrip("\n")
     return f"{said},{zlib.crc32(said.encode()):08x}\n"
 
 
