@@ -117,7 +117,7 @@ def score_predictions(
 
 def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[_ScoreRow], list[str]]:
     """Scores of a scene by its forecast, and what of it cannot be scored."""
-    rows, forecast = read_rows(item[0]), item[1]
+    (rows, *_), forecast = read_rows(item[0]), item[1]
     own = baseline(rows, forecast) if isinstance(forecast, str) else forecast
     return ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
 

@@ -9,5 +9,5 @@ from bridge.recordings.scenario import read_rows
 
 def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:
     """Forecasts of the focal tracks below `out`, in a submission file."""
-    scenes = (read_rows(folder) for folder in find_scenarios(out))
+    scenes = (read_rows(folder)[0] for folder in find_scenarios(out))
     return write_forecasts({rows.scenario_id: baseline(rows, kind) for rows in scenes}, path)

@@ -69,7 +69,7 @@ def brought(composed, tmp_path_factory):
             for validation in ("recorded", "hid2"):
                 forecasts = {}
                 for folder in find_scenarios(composed / "validation" / validation / "val"):
-                    rows = read_rows(folder)
+                    rows, *_ = read_rows(folder)
                     probabilities, by_track = baseline(rows, "constant-velocity")
                     moved = {track: modes + 0.5 * shift + 0.01 * seed for track, modes in by_track.items()}
                     forecasts[rows.scenario_id] = (probabilities, moved)

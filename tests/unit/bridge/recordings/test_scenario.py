@@ -62,7 +62,7 @@ def test_sizes_come_from_the_file_beside_and_else_from_the_type(copy_scene: Call
     [
         ("track_id,length_m\nAV,4.9\n", "width_m"),
         ("track_id,length_m,width_m\nAV,long,2.0\n", "line 2: length_m 'long'"),
-        ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "line 2: length_m .-4.9., width_m .2.0., expected metres above 0"),
+        ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "line 2: length_m .-4.9., expected greater than 0"),
     ],
 )
 def test_bad_sizes_are_named(copy_scene: Callable[..., Path], text: str, said: str) -> None:
