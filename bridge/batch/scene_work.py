@@ -90,7 +90,7 @@ def _selection(sidecar: Sidecar) -> dict[str, Any]:
     """What tells of the selection."""
     told = sidecar.selection
     assert told is not None
-    found: dict[str, Any] = {"driven": told.driven}
+    found: dict[str, Any] = {"driven": told.kept.vehicles + told.dropped.vehicles}
     for name, of in told:
         for what in ("braking", "standing"):
             found[f"{what}_{name}"] = round(getattr(of, what) / max(1, of.vehicles), 4)

@@ -17,9 +17,9 @@ from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import table_file, table_text, write_json, write_rows
 from bridge.pages.parts import number, write_page
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, is_generated, source_id
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, is_generated, source_id
 from bridge.recordings.sidecar import sidecar_in
-from bridge.recordings.sources import find_recordings, fitting, source_files
+from bridge.recordings.sources import find_recordings, find_scenarios, fitting, source_files
 from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError, ScenarioError

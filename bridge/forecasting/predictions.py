@@ -23,9 +23,10 @@ from bridge.files import beside, make_folder, write_rows
 from bridge.forecasting.compose import origins_of
 from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
-from bridge.recordings.folders import find_scenarios, source_id
+from bridge.recordings.folders import source_id
 from bridge.recordings.recording import Rows
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, read_rows
+from bridge.recordings.sources import find_scenarios
 from hid2.agents import FloatArray, IntArray, Track
 from hid2.params import Forecasting
 from hid2.resampling import UNITS_LEAST, Estimate, draws, interval

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from bridge.forecasting.predictions import Baseline, baseline, write_forecasts
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows
+from bridge.recordings.sources import find_scenarios
 
 
 def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:

@@ -12,9 +12,9 @@ import pytest
 from as_av2 import read_as_av2
 from written import edit_rows, in_cell
 
-from bridge.recordings.folders import find_scenarios, split_of
+from bridge.recordings.folders import split_of
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sources import find_sources
+from bridge.recordings.sources import find_scenarios, find_sources
 from hid2.agents import DEFAULT_SIZES
 from netconvert.errors import MapError, ScenarioError
 
