@@ -113,7 +113,7 @@ def test_row_of_a_scene_that_is_not_there_any_more_is_left_out(
 
 def test_something_else_of_that_name_is_said(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "manifest.csv")
-    with pytest.raises(BatchError, match=r"manifest\.csv: Is a directory, expected a manifest"):
+    with pytest.raises(BatchError, match=r"manifest\.csv: not a regular file, expected a manifest"):
         Manifest(tmp_path)
 
 
