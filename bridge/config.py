@@ -80,8 +80,7 @@ def read_drivers(path: Path) -> dict[str, object]:
 def parse_behaviours(text: str) -> dict[str, float | str]:
     """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0. Errors: ConfigError."""
     names = [policy.value for policy in Policy]
-    shares: dict[str, float | str] = {f"request.{name}": 0.0 for name in names}
-    own, given = list[str](), set[str]()
+    shares, own = dict[str, float](), dict[str, str]()
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
         if not separator or (name not in names and ":" not in name):
@@ -89,14 +88,13 @@ def parse_behaviours(text: str) -> dict[str, float | str]:
             hint = f"; did you mean {alike[0]}?" if alike and name not in names else ""
             wanted = f"name=share of {', '.join(names)}, or module:name=share of your own"
             raise ConfigError(f"behaviours: {part.strip()!r}, expected {wanted}{hint}")
-        if name in given:
+        if name in {*shares, *own}:
             raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
-        given.add(name)
         if name in names:
-            shares[f"request.{name}"] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
+            shares[name] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
         else:
-            own.append(f"{name}={value}")
-    return shares | {"request.own": ", ".join(own)}
+            own[name] = f"{name}={value}"
+    return {f"request.{name}": shares.get(name, 0.0) for name in names} | {"request.own": ", ".join(own.values())}
 
 
 def parse_trigger_time(text: str) -> dict[str, Any]:
