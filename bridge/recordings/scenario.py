@@ -263,12 +263,13 @@ def row_breaches(rows: RowArrays) -> Iterator[Breach]:
         if len(values) != 1:
             shown = one_line(str(values[:3]), most=200)
             yield "constant", f"column {column!r} has {len(values)} values {shown}, expected one"
-    for column in ("scenario_id", "focal_track_id", "city"):
-        yield from _unprintable(str(same[column][0]), column, "city" if column == "city" else "columns")
     if len(rows.ids) > limits.MAX_TRACKS:
         yield "columns", f"{len(rows.ids)} tracks, expected at most {limits.MAX_TRACKS}"
-    for track_id in rows.ids:
-        yield from _unprintable(track_id, "track_id", "columns")
+    names = [(column, str(same[column][0])) for column in ("scenario_id", "focal_track_id", "city")]
+    for what, text in (*names, *(("track_id", track_id) for track_id in rows.ids)):  # which go into files and messages
+        if not text or len(text) > limits.MAX_NAME or not text.isprintable():
+            said = f"{what} {one_line(text, most=60)!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
+            yield "city" if what == "city" else "columns", said
     for rule, wrong, said, *values in _masks(rows, most_steps):
         found = np.flatnonzero(wrong)
         if len(found):
@@ -303,13 +304,6 @@ def _masks(rows: RowArrays, most_steps: int) -> Iterator[tuple[Any, ...]]:
     yield "category", beyond, "object_category {}, expected 0, 1, 2 or 3", category
     for column, values in (("object_category", category), ("object_type", rows.kind)):
         yield "constant", values != values[rows.starts[code]], f"{column} changes within the track"
-
-
-def _unprintable(text: str, what: str, rule: str) -> Iterator[Breach]:
-    """Ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
-    if not text or len(text) > limits.MAX_NAME or not text.isprintable():
-        shown = one_line(text, most=60)
-        yield rule, f"{what} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
 
 
 def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[Breach]:
