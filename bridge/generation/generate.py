@@ -10,7 +10,7 @@ import numpy as np
 
 from bridge.config import check_exportable, config_sha256, new_scenario_id
 from bridge.generation import records
-from bridge.generation.scene import TrafficScene, grid_of, scene_of
+from bridge.generation.scene import TrafficScene, scene_of
 from bridge.recordings.export import recording_record_of, with_generated, with_motion
 from bridge.recordings.plausibility import check_plausible
 from bridge.recordings.recording import Recording
@@ -32,7 +32,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
-from netconvert.cells import CellGrid
+from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ConfigError, ScenarioError
 from netconvert.net_xml import net_bytes
 
@@ -97,7 +97,7 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
         )
     if config.source.plausible:
         check_plausible(scenario)
-    return PreparedScene(scenario, grid_of(scenario, config), config)
+    return PreparedScene(scenario, build_cell_grid(scenario.graph, cell_m=config.grid.cell_m), config)
 
 
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
