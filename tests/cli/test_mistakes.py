@@ -132,7 +132,6 @@ ORDER = [
     ("resimulate av2 -o out --take-out one --write 1", "--write", "--take-out one", "all"),
     ("compose --check av2 -o out", "-o out", "--check", "leave"),
     ("compose av2:many -o out", "av2:many", "SOURCE", "SOURCE:N"),
-    ("compose av2 -o out --val 0.2", "option", "--val", "composition|file|layout"),
     ("generate av2 -o out --event cross --target av --target=focal", "--target", "given 2 times", "it holds one value"),
     ("generate av2 -o out -j2 --scheduler tcp://a:1", "--jobs 2", "does nothing with --scheduler", "leave it out"),
     ("resimulate s/curve -o out --seeds 1", "scenes: 1", "two at least", "each half is driven"),
