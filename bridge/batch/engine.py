@@ -149,13 +149,9 @@ def _in_order(results: Iterable[list[TaskResult]]) -> Iterator[tuple[Any, Any]]:
 
 def sorted_out(each: Iterable[tuple[_Item, _Value | Failure]]) -> tuple[list[_Value], list[tuple[_Item, str]]]:
     """The values of `work_on_each`, and the items that failed with the reason, each in order."""
-    values, failures = list[_Value](), list[tuple[_Item, str]]()
-    for item, value in each:
-        if isinstance(value, Failure):
-            failures.append((item, value.message))
-        else:
-            values.append(value)
-    return values, failures
+    every = list(each)
+    values = [value for _, value in every if not isinstance(value, Failure)]
+    return values, [(item, value.message) for item, value in every if isinstance(value, Failure)]
 
 
 def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[TaskResult]:
