@@ -216,8 +216,7 @@ def resimulate_folders(
     some = [scene for scene in scenes if scene.driven]
     if len(some) < 2:
         left = Counter(why for scene in scenes for why in scene.left.values()).most_common(1)
-        told = [f"{where}: {why}" for where, why in failures] + [f"{count} vehicles: {why}" for why, count in left]
-        said = f"; {told[0]}" if told else ""
+        said = "".join(f"; {at}: {why}" for at, why in [*failures[:1], *((f"{n} vehicles", why) for why, n in left)])
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
         others = [[part[:, :, : LAST + 1] for part in one.recorded] for one in some if one is not scene]

@@ -365,8 +365,7 @@ def compare_predictions(
     if len(models) < 2:
         raise ConfigError("one model's predictions, expected two or more to compare (NAME=FILE, each with its NAME)")
     make_folder(report_dir)
-    runs: dict[str, list[pd.DataFrame]] = {}
-    left_out: list[str] = []
+    runs, left_out = dict[str, list[pd.DataFrame]](), list[str]()
     for name, files in models.items():
         for file in files:
             scores, reasons = score_predictions(scenes, predictions=file, jobs=jobs, on_scene=on_scene)
