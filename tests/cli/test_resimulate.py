@@ -5,9 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import pytest
-from written import copy_with_new_id, edit_rows
+from written import copy_with_new_id, edit_rows, standing
 
 from bridge.evaluation.resimulate import ResimulationPlan, resimulate_folders
 from netconvert.errors import ScenarioError
@@ -71,14 +70,8 @@ def test_scenes_without_a_vehicle_to_drive_are_refused_with_the_commonest_reason
     data_scenes: dict[str, Path], tmp_path: Path, here: None
 ) -> None:
     """Two scenes in which every track stays where it is first seen."""
-
-    def stand(rows: pd.DataFrame) -> pd.DataFrame:
-        first = rows.groupby("track_id")[["position_x", "position_y"]].transform("first")
-        return rows.assign(**first, velocity_x=0.0, velocity_y=0.0)
-
-    for number in range(2):
-        name = f"{number:08}-0000-4000-8000-{0:012}"
-        edit_rows(copy_with_new_id(data_scenes["intersection"], tmp_path / name, name), stand)
+    for name in ("00000000-0000-4000-8000-000000000000", "00000001-0000-4000-8000-000000000000"):
+        edit_rows(copy_with_new_id(data_scenes["intersection"], tmp_path / name, name), standing)
     with pytest.raises(ScenarioError, match=r"0 scenes with a vehicle to drive, .*; \d+ vehicles: parked, or stands"):
         resimulate_folders([tmp_path], tmp_path.with_name("out"), ResimulationPlan(1))
 

@@ -201,10 +201,7 @@ def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (
-            in_cell("AV", 7, "position_x", np.nan),
-            r"row \d+ \(track_id 'AV', timestep 7\): position_x is null or NaN, expected double",
-        ),
+        (in_cell("AV", 7, "position_x", np.nan), r"row \d+ \(track_id 'AV', timestep 7\): position_x is null or NaN"),
         (in_cell("AV", 7, "position_y", np.inf), "track 'AV', timestep 7: position_y is inf"),
         (in_cell("AV", 7, "timestep", 8), "track 'AV', timestep 8: more than one row, expected one"),
         (in_cell("AV", 109, "timestep", 110), "track 'AV', timestep 110: expected timesteps 0 to 109"),

@@ -144,7 +144,6 @@ def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -
     lists: dict[str, Any] = {"tests": [one], "causes": [(one, one)], "tried": [], "best": {}, "within": WITHIN}
     told = text("public.md.j2", page=page, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
     assert r"| Somewhere | a rule P(a\|b) | as set | - | - | - |" in told  # one cell of Markdown
-    assert r"| measure | published | a rule P(a\|b), as set |" in told
     assert not [words for words in ("I-80", "2.4 %", "Does the road have its flow") if words in told]
     ngsim = read_public(ROOT / "data" / "public" / "ngsim.toml").model_copy(update={"road": page.road})
     assert "- Lane 1 of I-80 " in text("public.md.j2", page=ngsim, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
