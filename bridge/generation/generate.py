@@ -12,7 +12,7 @@ from bridge.config import check_exportable, config_sha256, new_scenario_id
 from bridge.generation import records
 from bridge.generation.scene import TrafficScene, scene_of
 from bridge.recordings.export import recording_record_of, with_generated, with_motion
-from bridge.recordings.plausibility import check_plausible
+from bridge.recordings.plausibility import implausible
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar, StatesRecord
 from bridge.sumo.drivers import model_parameters
@@ -95,8 +95,8 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
         raise ScenarioError(
             f"{scenario.folder}: track {taken[0]!r}: ids gen_* are inserted vehicles'; rename the track"
         )
-    if config.source.plausible:
-        check_plausible(scenario)
+    if config.source.plausible and (said := implausible(scenario)):
+        raise ScenarioError(f"{scenario.folder}: {said}; --set source.plausible=false goes on all the same")
     return PreparedScene(scenario, build_cell_grid(scenario.graph, cell_m=config.grid.cell_m), config)
 
 
