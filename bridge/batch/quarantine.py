@@ -150,7 +150,6 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
             request = _Request.model_validate_json(_unpack(archive, members[_REQUEST]))
             seen = TypeAdapter(Failure).validate_json(_unpack(archive, members[_FAILURE]), strict=True)
             check_function(request.function, {*OWN_WORK, *functions}, where="function")
-            json.dumps(request.config, allow_nan=False)
             config = config_from_dict(request.config, source="config")
             for name, key in functions_of(config).items():
                 check_function(name, functions, where=f"config: {key}")
