@@ -119,14 +119,14 @@ def parse_events(kinds: Sequence[str], values: Mapping[str, Any], criticality: S
     given = {key: value for key, value in values.items() if value is not None}
     names = [f"--{option_name(key)}" for key in given] + ["--criticality"] * bool(criticality)
     for key in _BANDS & given.keys():
-        given[key] = _band(given[key], option_name(key))
+        given[key] = _ends(given[key], f"--{option_name(key)}", "A or A:B" if key == "at_s" else "A:B")
     for text in criticality:
         measure, separator, band = text.partition("=")
         if measure not in _CRITICALITY or not separator:
             raise ConfigError(f"--criticality {text!r}: expected ttc=A:B, pet=A:B (s) or drac=A:B (m/s2)")
         if _CRITICALITY[measure] in given:
             raise ConfigError(f"--criticality {text!r}: {measure} is asked for twice, expected one band of it")
-        given[_CRITICALITY[measure]] = _band(band, f"criticality {measure}")
+        given[_CRITICALITY[measure]] = _ends(band, f"--criticality {measure}", "A:B")
     if given and not kinds:
         raise ConfigError(f"{', '.join(names)} without --event; say which event is meant, such as --event cut_in")
     return {"event": [{"kind": kind, **given} for kind in kinds]} if kinds else {}
@@ -135,14 +135,6 @@ def parse_events(kinds: Sequence[str], values: Mapping[str, Any], criticality: S
 #: Fields of events that are bands, and criticality by its measure.
 _CRITICALITY = {"ttc": "ttc_s", "pet": "pet_s", "drac": "drac_mps2"}
 _BANDS = {"at_s", "gap_m", "speed_difference_mps", *_CRITICALITY.values()}
-
-
-def _band(text: str, name: str) -> list[float]:
-    """Least and largest value of "A:B"; twice the same of "A", which only a moment may be."""
-    wanted = "A or A:B" if name == "at" else "A:B"
-    if ":" not in text and name != "at":
-        raise ConfigError(f"--{name} {text!r}: expected {wanted}")
-    return _ends(text, f"--{name}", wanted)
 
 
 def _ends(text: str, name: str, wanted: str) -> list[float]:
