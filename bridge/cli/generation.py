@@ -152,8 +152,7 @@ def generate(
 
     resolved = asked.resolved()
     beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
-    asked_to = {"resume": running.resume, "memory_mb": running.scene_memory}
-    how = running.batch.options(selects=any(which), **asked_to, **beside)
+    how = running.batch.options(selects=any(which), resume=running.resume, memory_mb=running.scene_memory, **beside)
     activity.doing("looking for scenes")
     folders = recordings(scenes, choices, activity, generated=False)
     if written.formats:
