@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bridge.generation.scene import TrafficScene as TrafficScene
     from bridge.generation.scene import read_scene as read_scene
     from bridge.pictures.render import draw_conflicts as draw_conflicts
-    from bridge.recordings.folders import find_scenarios as find_scenarios
+    from bridge.recordings.sources import find_scenarios as find_scenarios
     from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
     from hid2.measures.conflicts import TrafficConflict as TrafficConflict
@@ -40,7 +40,7 @@ _NAMES = {
     "bridge.generation.generate": "generate prepare",
     "bridge.pictures.render": "draw_conflicts",
     "bridge.exports.export": "export_scene",
-    "bridge.recordings.folders": "find_scenarios",
+    "bridge.recordings.sources": "find_scenarios",
     "bridge.batch.validation": "validate_folder",
     "bridge.studies.run": "run_study",
     "bridge.studies.study": "read_study",

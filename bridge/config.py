@@ -80,8 +80,7 @@ def read_drivers(path: Path) -> dict[str, object]:
 def parse_behaviours(text: str) -> dict[str, float | str]:
     """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0. Errors: ConfigError."""
     names = [policy.value for policy in Policy]
-    shares: dict[str, float | str] = {f"request.{name}": 0.0 for name in names}
-    own, given = list[str](), set[str]()
+    shares, own = dict[str, float](), dict[str, str]()
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
         if not separator or (name not in names and ":" not in name):
@@ -89,14 +88,13 @@ def parse_behaviours(text: str) -> dict[str, float | str]:
             hint = f"; did you mean {alike[0]}?" if alike and name not in names else ""
             wanted = f"name=share of {', '.join(names)}, or module:name=share of your own"
             raise ConfigError(f"behaviours: {part.strip()!r}, expected {wanted}{hint}")
-        if name in given:
+        if name in {*shares, *own}:
             raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
-        given.add(name)
         if name in names:
-            shares[f"request.{name}"] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
+            shares[name] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
         else:
-            own.append(f"{name}={value}")
-    return shares | {"request.own": ", ".join(own)}
+            own[name] = f"{name}={value}"
+    return {f"request.{name}": shares.get(name, 0.0) for name in names} | {"request.own": ", ".join(own.values())}
 
 
 def parse_trigger_time(text: str) -> dict[str, Any]:
@@ -105,8 +103,6 @@ def parse_trigger_time(text: str) -> dict[str, Any]:
     if "," in text:
         return {"request.trigger_list_s": [_number(part.strip(), "trigger-time", wanted) for part in text.split(",")]}
     low, high = _ends(text, "trigger-time", wanted)
-    if high < low:
-        raise ConfigError(f"trigger-time: {text!r}, expected the earlier time first")
     return {"request.trigger_min_s": low, "request.trigger_max_s": high, "request.trigger_list_s": []}
 
 
@@ -123,14 +119,14 @@ def parse_events(kinds: Sequence[str], values: Mapping[str, Any], criticality: S
     given = {key: value for key, value in values.items() if value is not None}
     names = [f"--{option_name(key)}" for key in given] + ["--criticality"] * bool(criticality)
     for key in _BANDS & given.keys():
-        given[key] = _band(given[key], option_name(key))
+        given[key] = _ends(given[key], f"--{option_name(key)}", "A or A:B" if key == "at_s" else "A:B")
     for text in criticality:
         measure, separator, band = text.partition("=")
         if measure not in _CRITICALITY or not separator:
             raise ConfigError(f"--criticality {text!r}: expected ttc=A:B, pet=A:B (s) or drac=A:B (m/s2)")
         if _CRITICALITY[measure] in given:
             raise ConfigError(f"--criticality {text!r}: {measure} is asked for twice, expected one band of it")
-        given[_CRITICALITY[measure]] = _band(band, f"criticality {measure}")
+        given[_CRITICALITY[measure]] = _ends(band, f"--criticality {measure}", "A:B")
     if given and not kinds:
         raise ConfigError(f"{', '.join(names)} without --event; say which event is meant, such as --event cut_in")
     return {"event": [{"kind": kind, **given} for kind in kinds]} if kinds else {}
@@ -139,14 +135,6 @@ def parse_events(kinds: Sequence[str], values: Mapping[str, Any], criticality: S
 #: Fields of events that are bands, and criticality by its measure.
 _CRITICALITY = {"ttc": "ttc_s", "pet": "pet_s", "drac": "drac_mps2"}
 _BANDS = {"at_s", "gap_m", "speed_difference_mps", *_CRITICALITY.values()}
-
-
-def _band(text: str, name: str) -> list[float]:
-    """Least and largest value of "A:B"; twice the same of "A", which only a moment may be."""
-    wanted = "A or A:B" if name == "at" else "A:B"
-    if ":" not in text and name != "at":
-        raise ConfigError(f"--{name} {text!r}: expected {wanted}")
-    return _ends(text, f"--{name}", wanted)
 
 
 def _ends(text: str, name: str, wanted: str) -> list[float]:

@@ -9,14 +9,10 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-from bridge.batch.manifest import DONE, ManifestRow
 from bridge.files import one_line
 from bridge.interruption import tidied
-
-if TYPE_CHECKING:
-    from hid2.params import Request
 
 #: Seconds between two looks at what is done.
 _LOOK_S = 0.2
@@ -33,10 +29,6 @@ _GAP = "  "
 _INDENT = "    "
 #: Least width that prose is wrapped to, characters.
 _PROSE = 16
-#: Most runs of a batch that are listed; more are summed up: those that failed were told one by one.
-LISTED_RUNS = 24
-#: Reasons shown in a row of the table; manifest.csv has them all.
-_REASONS = 3
 
 
 def say(message: str) -> None:
@@ -122,55 +114,6 @@ def _stacked(columns: Sequence[str], rows: Sequence[Sequence[str]], width: int) 
         whole = _GAP.join(field.replace(" ", "\0") if len(field) <= fits else field for field in fields)
         lines += [*_wrapped(row[0], width), *(line.replace("\0", " ") for line in wrap.wrap(whole))]
     return lines
-
-
-def print_batch(rows: Sequence[ManifestRow], request: "Request") -> None:
-    """Print what happened, run by run when there are few, and the sums."""
-    if len(rows) <= LISTED_RUNS:
-        with_events = any(row.events_requested for row in rows)
-        head = ("scene", "variant", "placed", "left turns", "right turns", "lane changes", "overtakes", "manoeuvres")
-        listed = (*head, *(("events",) if with_events else ()), "run time, s", "remarks")
-        print_table("Generated scenes", listed, [_line(row, request, with_events=with_events) for row in rows])
-    done = [row for row in rows if row.status == DONE]
-    asked = "" if any(row.asked == "max" for row in done) else f" of {sum(int(row.asked) for row in done)}"
-    target = f"{request.near} at the last observed step" if request.is_near_agents else "traffic"
-    print(
-        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
-        f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
-        f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
-    )
-    if events := sum(row.events_requested for row in done):
-        print(f"events done: {sum(row.events_done for row in done)} of {events}")
-    if request.entering:
-        print(f"entered: {sum(row.entered for row in done)} of {sum(row.straight for row in done)} that go straight")
-    if request.focal == "generated":
-        does = sum(row.focal not in ("", "straight") for row in done)
-        print(f"focal tracks that do a manoeuvre: {does} of {len(done)}")
-
-
-def _line(row: ManifestRow, request: "Request", *, with_events: bool) -> tuple[object, ...]:
-    if row.status != DONE:
-        blank = ("-",) * (7 if with_events else 6)
-        return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
-    said = {"events": row.events, "not done": row.not_done}
-    placed, met = f"{row.placed} of {row.asked}", row.placed
-    if request.is_near_agents:
-        placed, met = f"{placed}, {row.near} near", row.near
-    placed += f", {row.entered} entered" if request.entering else ""
-    if row.asked == "max" or met < int(row.asked) or row.entered < round(request.entering * row.straight):
-        said["candidates rejected"] = row.rejected
-    remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
-    by_kind = row.left_turn, row.right_turn, row.lane_change, row.overtake
-    done = [f"{row.maneuvers_done} of {row.maneuvers_requested}"]
-    done += [f"{row.events_done} of {row.events_requested}"] if with_events else []
-    return (row.scenario, row.variant, placed, *by_kind, *done, round(row.seconds, 2), remarks or "-")
-
-
-def _first(reasons: str) -> str:
-    """The most frequent reasons, and how many kinds more there are."""
-    each = reasons.split("; ")
-    more = f", {len(each) - _REASONS} more in manifest.csv" if len(each) > _REASONS else ""
-    return ", ".join(each[:_REASONS]) + more
 
 
 def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

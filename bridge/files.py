@@ -57,7 +57,7 @@ def data_folder() -> Path:
 
 @contextlib.contextmanager
 def table_file(path: Path) -> Iterator[IO[str]]:
-    """A file for `append_rows`, `beside` its place. Errors: ExportError."""
+    """A file for `table_text`, `beside` its place. Errors: ExportError."""
     with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
         yield stream
 
@@ -81,14 +81,14 @@ def write_json(path: Path, content: object) -> None:
 
 def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a CSV table. Errors: ExportError."""
-    with table_file(path) as stream:
-        append_rows(stream, [head])
-        append_rows(stream, rows)
+    write_text(path, table_text([head, *rows]))
 
 
-def append_rows(stream: IO[str], rows: Iterable[Iterable[object]]) -> None:
-    """Append rows to a CSV table: every table that hid2 writes for people goes through here."""
-    csv.writer(stream, lineterminator="\n").writerows(map(table_cell, row) for row in rows)
+def table_text(rows: Iterable[Iterable[object]]) -> str:
+    """Rows as lines of CSV: every table that hid2 writes for people goes through here."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(map(table_cell, row) for row in rows)
+    return text.getvalue()
 
 
 def table_cell(value: object) -> object:
@@ -118,14 +118,15 @@ def disk_error(error: BaseException) -> OSError | None:
 
 def read_regular(path: Path, *, most_mb: int) -> bytes:
     """The bytes of a regular file of bounded size. Errors: OSError, also for a pipe or a device, which has no end."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
-        with open(descriptor, "rb", closefd=False) as file:
-            content = file.read(most_mb * 1_000_000 + 1)
-    finally:
-        os.close(descriptor)
+        return read_bounded(file, path, most_mb=most_mb)
+
+
+def read_bounded(stream: IO[bytes] | gzip.GzipFile, path: Path, *, most_mb: int) -> bytes:
+    """What is left of a stream, never more than so much of it. path: what errors name. Errors: OSError."""
+    content = stream.read(most_mb * 1_000_000 + 1)
     if len(content) > most_mb * 1_000_000:
         raise OSError(errno.EINVAL, f"larger than {most_mb} MB", str(path))
     return content
@@ -144,12 +145,9 @@ def read_packed(path: Path, *, most_mb: int) -> bytes:
     """What a gzip file holds, never unpacked beyond its limit. Errors: OSError."""
     try:
         with gzip.open(io.BytesIO(read_regular(path, most_mb=most_mb))) as stream:
-            content = stream.read(most_mb * 1_000_000 + 1)
+            return read_bounded(stream, path, most_mb=most_mb)
     except (EOFError, zlib.error) as error:
         raise OSError(errno.EINVAL, f"not gzip ({error})", str(path)) from error
-    if len(content) > most_mb * 1_000_000:
-        raise OSError(errno.EINVAL, f"unpacks to more than {most_mb} MB", str(path))
-    return content
 
 
 def printable(text: str) -> str:

@@ -159,18 +159,10 @@ def _leave(code: int) -> None:
 
 def _end_children() -> None:
     """Kill the processes that this one has started, also those that libraries started, and wait for them."""
-    while children := _children():
+    import psutil  # takes as long as much of a command
+
+    while children := psutil.Process().children():
         for child in children:
-            with contextlib.suppress(OSError):
-                os.kill(child, signal.SIGKILL)
-                os.waitpid(child, 0)
-
-
-def _children() -> list[int]:
-    """Process ids, of /proc. Without it, on macOS, children see that this process is gone, sumo-gui once it plays."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # it has ended
-            state = (folder / "stat").read_text(errors="replace").rpartition(")")[2]
-            found += [int(folder.name)] if int(state.split()[1]) == os.getpid() else []
-    return found
+            with contextlib.suppress(psutil.Error):  # it has ended
+                child.kill()
+                child.wait()

@@ -282,7 +282,7 @@ def _tasks(
         wanted = []
         for run in job.runs:
             base = base_row(place, run)
-            row = manifest.get(base.key) if options.resume else None
+            row = manifest.by_key.get(base.key) if options.resume else None
             if row is not None and _is_complete(row, base, place):
                 skip(row)
             else:

@@ -150,8 +150,8 @@ def _in_order(results: Iterable[list[TaskResult]]) -> Iterator[tuple[Any, Any]]:
 def sorted_out(each: Iterable[tuple[_Item, _Value | Failure]]) -> tuple[list[_Value], list[tuple[_Item, str]]]:
     """The values of `work_on_each`, and the items that failed with the reason, each in order."""
     every = list(each)
-    failures = [(item, value.message) for item, value in every if isinstance(value, Failure)]
-    return [value for _, value in every if not isinstance(value, Failure)], failures
+    values = [value for _, value in every if not isinstance(value, Failure)]
+    return values, [(item, value.message) for item, value in every if isinstance(value, Failure)]
 
 
 def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[TaskResult]:

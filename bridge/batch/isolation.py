@@ -25,7 +25,6 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, Literal, TypeVar
 
@@ -249,6 +248,8 @@ def serve() -> None:
 
 
 def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequence[Any], *, timeout_s: float) -> None:
+    import psutil  # not for the caller
+
     # A C thread of faulthandler's own ends a hang even where native code holds the GIL, and shows where it hung.
     try:
         values = resolve_name(function)(*arguments)
@@ -261,7 +262,7 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
             faulthandler.cancel_dump_traceback_later()
             connection.send(("value", value))
             faulthandler.dump_traceback_later(timeout_s, exit=True)
-        last: tuple[str, Any] = "end", _rss_mb()
+        last: tuple[str, Any] = "end", psutil.Process().memory_info().rss / _MB
     except Exception as error:  # noqa: BLE001  # passed on to the caller, which decides
         last = "failed", describe_error(error)
     faulthandler.cancel_dump_traceback_later()
@@ -297,11 +298,6 @@ def describe_error(error: Exception) -> Failure:
     if isinstance(error, Hid2Error):
         return Failure("error", str(error))
     return Failure("exception", f"{type(error).__name__}: {error}", details)
-
-
-def _rss_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1]) if Path("/proc/self/statm").exists() else 0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def _bound_memory(memory_mb: int) -> None:

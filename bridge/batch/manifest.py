@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from bridge.files import MAX_FILE_MB, append_rows, explained, one_line, read_regular, table_file, untabled, write_text
+from bridge.files import MAX_FILE_MB, explained, one_line, read_regular, table_file, table_text, untabled, write_text
 from bridge.recordings.folders import SPLITS, WRITTEN
 from netconvert.errors import BatchError, ConfigError
 
@@ -125,17 +125,13 @@ class Manifest:
             )
         if len(there) < len(rows):
             _LOG.warning("%s: %d rows left out: their folders are not there", self.path, len(rows) - len(there))
-        self._rows = {row.key: row for row in there}
+        self.by_key = {row.key: row for row in there}
         self.save()
 
     @property
     def rows(self) -> list[ManifestRow]:
         """All rows, sorted by split, scenario, configuration and variant."""
-        return [self._rows[key] for key in sorted(self._rows)]
-
-    def get(self, key: tuple[str, str, str, int]) -> ManifestRow | None:
-        """The row about a scene, configuration and variant."""
-        return self._rows.get(key)
+        return [self.by_key[key] for key in sorted(self.by_key)]
 
     def name_contents(self, contents: str) -> None:
         """Write down beside it what the rows are of. Errors: ConfigError where they are of anything else."""
@@ -143,7 +139,7 @@ class Manifest:
         if path.is_file():
             with explained(path):
                 known = path.read_text(encoding="utf-8", errors="replace").strip()
-        if self._rows and known != contents:
+        if self.by_key and known != contents:
             held = repr(one_line(known, most=300)) if known else "no such file, but runs beside it"
             raise ConfigError(
                 f"{path}: {held}, expected {contents!r}: take another OUT, or write that line into it if it is so"
@@ -154,7 +150,7 @@ class Manifest:
         """Append a row to the file."""
         with explained(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
             file.write(_line(row))
-        self._rows[row.key] = row
+        self.by_key[row.key] = row
 
     def save(self) -> None:
         """Write the file anew, sorted, each row once."""
@@ -187,9 +183,8 @@ def is_output(folder: Path) -> bool:
 
 
 def _line(row: ManifestRow) -> str:
-    text = io.StringIO()
-    append_rows(text, [[one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]])
-    said = text.getvalue().rstrip("\n")
+    cells = [one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]
+    said = table_text([cells]).rstrip("\n")
     return f"{said},{zlib.crc32(said.encode()):08x}\n"
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.manifest import DONE
-from bridge.config import check_function, config_from_dict, config_sha256, functions_of
+from bridge.config import config_from_dict, config_sha256
 from bridge.recordings.folders import PARQUET_PATTERN, SIDECAR_PATTERN, Choices, source_id, split_of
 from bridge.recordings.sidecar import read_sidecar
 from bridge.recordings.sources import find_recordings, fitting
@@ -37,8 +37,6 @@ def make_again(
         config = config_from_dict(sidecar.config, source=f"{sidecar_path}: config")
     except ConfigError as error:
         raise ConfigError(f"{error}; {then}: use that program") from error
-    for name, key in functions_of(config).items():
-        check_function(name, functions, where=f"{sidecar_path}: {key}")
     if config_sha256(config) != sidecar.config_sha256:
         raise ConfigError(
             f"{sidecar_path}: config_sha256 {sidecar.config_sha256[:12]}..., expected {config_sha256(config)[:12]}..., "

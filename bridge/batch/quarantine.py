@@ -10,6 +10,7 @@ import platform
 import zipfile
 import zlib
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -84,28 +85,9 @@ class Bundle:
 
 
 def write_bundle(bundle: Bundle, path: Path) -> None:
-    """Write a bundle, the same bytes for the same failure. Errors: ExportError.
-
-    Files of the scene that are no regular files, or larger than a reader takes, alone or together, are named instead.
-    """
-    files, left_out, folder = dict[str, bytes](), list[str](), bundle.folder
-    source = folder if isinstance(folder, Source) else None
-    if isinstance(folder, Source):  # what is read of it
-        there = source_files(folder)
-    else:  # all in the folder, which may be damaged, or not be there
-        own = "scenario_", "log_map_archive_", "hid2_"
-        there = sorted(folder.glob("*"), key=lambda path: (not path.name.startswith(own), path))
-    for entry in there:
-        name = one_line(entry.name, most=200)
-        try:
-            if len(files) + len(left_out) >= MAX_MEMBERS - 3 or name.startswith("."):
-                raise OSError
-            content = read_regular(entry, most_mb=MAX_FILE_MB)
-            if sum(map(len, files.values())) + len(content) > _MOST_OF_SCENE_MB * 1_000_000:
-                raise OSError
-            files[name] = content
-        except OSError:
-            left_out.append(name)
+    """Write a bundle, the same bytes for the same failure. Errors: ExportError."""
+    files, left_out = _packed(bundle.folder)
+    source = bundle.folder if isinstance(bundle.folder, Source) else None
     request = _Request(
         format=1,
         version=bundle.version,
@@ -133,6 +115,27 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
             archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)
 
 
+def _packed(folder: Address) -> tuple[dict[str, bytes], list[str]]:
+    """Files of a scene by name; names of those that are no regular ones, or beyond what is read, alone or together."""
+    if isinstance(folder, Source):  # what is read of it
+        there = source_files(folder)
+    else:  # all in the folder, which may be damaged, or not be there
+        own = "scenario_", "log_map_archive_", "hid2_"
+        there = sorted(folder.glob("*"), key=lambda path: (not path.name.startswith(own), path))
+    files, left_out, room = dict[str, bytes](), list[str](), _MOST_OF_SCENE_MB * 1_000_000
+    for number, entry in enumerate(there):
+        name, content = one_line(entry.name, most=200), None
+        if number < MAX_MEMBERS - 3 and not name.startswith("."):
+            with suppress(OSError):
+                content = read_regular(entry, most_mb=MAX_FILE_MB)
+        if content is None or len(content) > room:
+            left_out.append(name)
+        else:
+            files[name] = content
+            room -= len(content)
+    return files, left_out
+
+
 def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> Bundle:
     """Read a bundle and unpack its scene below `into`; nothing is imported, or written elsewhere.
 
@@ -147,7 +150,6 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
             request = _Request.model_validate_json(_unpack(archive, members[_REQUEST]))
             seen = TypeAdapter(Failure).validate_json(_unpack(archive, members[_FAILURE]), strict=True)
             check_function(request.function, {*OWN_WORK, *functions}, where="function")
-            json.dumps(request.config, allow_nan=False)
             config = config_from_dict(request.config, source="config")
             for name, key in functions_of(config).items():
                 check_function(name, functions, where=f"config: {key}")

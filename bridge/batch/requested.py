@@ -58,13 +58,24 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
 
 
 def never_in_scene(shared: tuple[Config, Sequence[Policy]], folder: Address) -> dict[str, str]:
-    """What can never come about in a scene, each with the reason."""
+    """What can never come about in a scene, each with the reason; `is_shown` of each behaviour is tried in it."""
     from bridge.generation.scene import scene_of
+    from bridge.recordings.judging import recording_states
     from bridge.recordings.sources import read_recording
     from hid2.insertion.feasible import impossible
+    from hid2.measures.manoeuvres import Maneuver
+    from hid2.policy.behaviours import BEHAVIOURS, is_shown
 
-    config, named = shared
-    return impossible(scene_of(read_recording(folder), config), named)
+    (config, named), recording = shared, read_recording(folder)
+    found = impossible(scene_of(recording, config), named)
+    track, lane = max(recording.tracks, key=lambda one: one.path_m), min(recording.graph.lanes)
+    for policy in named:
+        made_up = Maneuver(track.track_id, BEHAVIOURS[policy].seen_as[0], 1.0, 2.0, 3.0, lane, lane, 1, complete=True)
+        try:
+            is_shown(policy, recording_states(recording, [track]), made_up)
+        except ConfigError as error:
+            found[f"behaviour {policy}"] = str(error)
+    return found
 
 
 def check_same_request(out: Path, config: Config) -> None:

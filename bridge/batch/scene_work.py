@@ -3,14 +3,12 @@
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from bridge.batch.batch import Run, SceneFolders, base_row
 from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow
 from bridge.generation.generate import PreparedScene, generate, prepare
-from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import check_step
 from bridge.recordings.sidecar import EventRecord, Sidecar
 from bridge.recordings.sources import read_recording
@@ -19,16 +17,6 @@ from hid2.agents import Policy
 _FOUND = sys.modules["libsumo"]  # imported with what generates
 if not hasattr(_FOUND, "simulation"):  # a file of that name in the way is found before the first scene
     raise ImportError(f"{getattr(_FOUND, '__file__', None) or _FOUND}: not SUMO's libsumo, rename it or move it away")
-
-
-def write_all(scene: TrafficScene, place: SceneFolders) -> Path:
-    """Write a scene, with what was asked for beside; returns its folder. Errors: ExportError."""
-    if place.argoverse1:
-        from bridge.recordings.argoverse1 import write_sequence
-
-        assert scene.source is not None
-        write_sequence(scene.source, scene.generated, place.out, new_id=scene.recording.scenario_id)
-    return scene.write(place.out, record=("gaps",) if place.gaps else ())
 
 
 def generate_runs(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
@@ -42,7 +30,11 @@ def generate_runs(place: SceneFolders, runs: Sequence[Run]) -> Iterator[Manifest
             check_step(recording)
             prepared = prepare(recording, run.config)
         scene = generate(prepared, run.config, variant=run.variant)
-        row = base_row(place, run, write_all(scene, place))
+        if place.argoverse1:
+            from bridge.recordings.argoverse1 import write_sequence
+
+            write_sequence(prepared.scenario, scene.generated, place.out, new_id=scene.recording.scenario_id)
+        row = base_row(place, run, scene.write(place.out, record=("gaps",) if place.gaps else ()))
         assert scene.sidecar is not None
         found = prepared.scenario
         return summarise(scene.sidecar, row)._replace(city=found.city, recorded=len(found.tracks))
@@ -90,7 +82,7 @@ def _selection(sidecar: Sidecar) -> dict[str, Any]:
     """What tells of the selection."""
     told = sidecar.selection
     assert told is not None
-    found: dict[str, Any] = {"driven": told.driven}
+    found: dict[str, Any] = {"driven": told.kept.vehicles + told.dropped.vehicles}
     for name, of in told:
         for what in ("braking", "standing"):
             found[f"{what}_{name}"] = round(getattr(of, what) / max(1, of.vehicles), 4)

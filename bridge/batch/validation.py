@@ -7,9 +7,9 @@ from pathlib import Path
 
 from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
-from bridge.recordings.folders import Choices, find_scenarios, source_id
+from bridge.recordings.folders import Choices, source_id
 from bridge.recordings.scenario import read_table
-from bridge.recordings.sources import find_recordings, fitting
+from bridge.recordings.sources import find_recordings, find_scenarios, fitting
 from bridge.recordings.validate import Against, FileBreach, check_tree, validate_scene
 from netconvert.errors import ConfigError, ScenarioError
 

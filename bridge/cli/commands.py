@@ -54,10 +54,7 @@ class _Command(TyperCommand):
         every = self.get_params(ctx)
         listed = [one for one in every if not self.shown or one.name in self.shown]
         for parameter in listed:
-            record = parameter.get_help_record(ctx)
-            if record is None:
-                continue
-            name, text = record
+            name, text = parameter.get_help_record(ctx) or ("", "")
             argument = parameter.param_type_name == "argument"
             group = "Arguments" if argument else getattr(parameter, "rich_help_panel", None) or "Options"
             name = str(parameter.metavar) if argument else re.sub(r"<list\[(.*)\]>", r"<\1>", name.strip())
@@ -163,8 +160,6 @@ def _mistake(error: Exception) -> int:
     behind = next((one for one in sys.argv[1:] if one in COMMANDS), None)
     if type(error).__name__ == "NoSuchOption" and behind and not named:
         command, message = f"hid2 {behind}", f"{message.rstrip('.')}; an option of {behind} goes behind its name"
-    if type(error).__name__ == "NoSuchOption" and named == ["compose"]:  # as --val, --split-by of earlier versions
-        message = f"{message.rstrip('.')}; splits, densities, layout and seed stand in a COMPOSITION.toml"
     for theirs, ours in _PHRASES.items():
         message = re.sub(theirs, ours, message)
     return _failed(f"{message[:1].lower()}{message[1:].rstrip('.')} (see {command} --help)", USAGE)

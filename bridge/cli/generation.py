@@ -8,18 +8,22 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow
 from bridge.cli import options
 from bridge.cli.places import check_scenes, recordings, select_scenes
-from bridge.console import LISTED_RUNS, Activity, fail, print_batch, print_json, say, warn
+from bridge.console import Activity, fail, print_json, print_table, say, warn
 from bridge.interruption import if_interrupted
 from bridge.recordings.folders import Address, Choices, Source, split_of
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
     from bridge.batch.batch import OnRow, Progress
-    from hid2.params import Config
+    from hid2.params import Config, Request
 
 #: What --repro and --from make use of.
 _WITH_REPRO = frozenset({"--repro", "--out", "--function", "--verbose", "--quiet"})
 _WITH_FROM = _WITH_REPRO - {"--repro"} | {"--from", "--source", "--map"}
+#: Most runs of a batch that are listed; more are summed up: those that failed were told one by one.
+_LISTED_RUNS = 24
+#: Reasons shown in a row of the table; manifest.csv has them all.
+_REASONS = 3
 _HELP = "(see hid2 generate --help)"
 
 
@@ -147,6 +151,8 @@ def generate(
     from bridge.config import functions_of
 
     resolved = asked.resolved()
+    beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
+    how = running.batch.options(selects=any(which), resume=running.resume, memory_mb=running.scene_memory, **beside)
     activity.doing("looking for scenes")
     folders = recordings(scenes, choices, activity, generated=False)
     if written.formats:
@@ -163,8 +169,6 @@ def generate(
     activity.doing("looking at the first scenes")
     named = named_behaviours(resolved.request, by_option=asked.behaviours is not None)
     check_request(folders, resolved, named, jobs=jobs)
-    beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
-    how = running.batch.options(resume=running.resume, memory_mb=running.scene_memory, **beside)
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))
     rows = run_batch(jobs_wanted, out, how, on_row=notes_of(activity, out, go_on="continue with --resume"))
@@ -173,11 +177,60 @@ def generate(
         print_json(rows[0]._fields, rows)
     elif not activity.quiet:
         print_batch(rows, resolved.request)
-        paths = [out / row.folder for row in rows if row.folder] if len(rows) <= LISTED_RUNS else []
+        paths = [out / row.folder for row in rows if row.folder] if len(rows) <= _LISTED_RUNS else []
         activity.result(*paths, out / MANIFEST_NAME)
     if nowhere := came_about_nowhere(rows, resolved, named):
         fail(f"{', '.join(nowhere)}: asked for, and came about in no scene; {out / MANIFEST_NAME} has the reasons")
     return bool(nowhere) or any(row.status != DONE for row in rows)
+
+
+def print_batch(rows: Sequence[ManifestRow], request: "Request") -> None:
+    """Print what happened, run by run when there are few, and the sums."""
+    if len(rows) <= _LISTED_RUNS:
+        with_events = any(row.events_requested for row in rows)
+        head = ("scene", "variant", "placed", "left turns", "right turns", "lane changes", "overtakes", "manoeuvres")
+        listed = (*head, *(("events",) if with_events else ()), "run time, s", "remarks")
+        print_table("Generated scenes", listed, [_line(row, request, with_events=with_events) for row in rows])
+    done = [row for row in rows if row.status == DONE]
+    asked = "" if any(row.asked == "max" for row in done) else f" of {sum(int(row.asked) for row in done)}"
+    target = f"{request.near} at the last observed step" if request.is_near_agents else "traffic"
+    print(
+        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
+        f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
+        f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
+    )
+    if events := sum(row.events_requested for row in done):
+        print(f"events done: {sum(row.events_done for row in done)} of {events}")
+    if request.entering:
+        print(f"entered: {sum(row.entered for row in done)} of {sum(row.straight for row in done)} that go straight")
+    if request.focal == "generated":
+        does = sum(row.focal not in ("", "straight") for row in done)
+        print(f"focal tracks that do a manoeuvre: {does} of {len(done)}")
+
+
+def _line(row: ManifestRow, request: "Request", *, with_events: bool) -> tuple[object, ...]:
+    if row.status != DONE:
+        blank = ("-",) * (7 if with_events else 6)
+        return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
+    said = {"events": row.events, "not done": row.not_done}
+    placed, met = f"{row.placed} of {row.asked}", row.placed
+    if request.is_near_agents:
+        placed, met = f"{placed}, {row.near} near", row.near
+    placed += f", {row.entered} entered" if request.entering else ""
+    if row.asked == "max" or met < int(row.asked) or row.entered < round(request.entering * row.straight):
+        said["candidates rejected"] = row.rejected
+    remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
+    by_kind = row.left_turn, row.right_turn, row.lane_change, row.overtake
+    done = [f"{row.maneuvers_done} of {row.maneuvers_requested}"]
+    done += [f"{row.events_done} of {row.events_requested}"] if with_events else []
+    return (row.scenario, row.variant, placed, *by_kind, *done, round(row.seconds, 2), remarks or "-")
+
+
+def _first(reasons: str) -> str:
+    """The most frequent reasons, and how many kinds more there are."""
+    each = reasons.split("; ")
+    more = f", {len(each) - _REASONS} more in manifest.csv" if len(each) > _REASONS else ""
+    return ", ".join(each[:_REASONS]) + more
 
 
 def _check_sequences(folders: Sequence[Address], config: "Config") -> None:

@@ -228,6 +228,18 @@ class Plan(NamedTuple):
     )
 
 
+_WITH_PAPER = _WITH_ANY | {"EXPERIMENT", "--scenes", "--seeds"}
+_WITH_DENSITY = _WITH_PAPER | {"--map", "--window", "--stride"}
+_WITH_TABLES = _WITH_DENSITY | {"--agents"}
+_WITH_EXPERIMENT = {
+    "density": _WITH_DENSITY,
+    "prediction": _WITH_PAPER
+    | {"--agents", "--variants", "--val", "--updates", "--focal", "--composed", "--predictions"},
+    "--composed": _WITH_ANY | {"EXPERIMENT", "--composed", "--seeds", "--updates"},
+    "--predictions": _WITH_ANY | {"EXPERIMENT", "--composed", "--predictions"},
+}
+
+
 @options.command(folders=("out",))
 def paper(
     experiment: options.ExperimentName = options.argument(
@@ -248,7 +260,10 @@ def paper(
     activity: Activity,
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
-    _check_fits(experiment, plan.given)
+    way: str = experiment
+    if experiment == "prediction" and plan.composed:
+        way = "--predictions" if plan.predictions else "--composed"
+    plan.given.check(_WITH_EXPERIMENT.get(way, _WITH_TABLES), way)
     check_scenes([plan.composed] if plan.composed else [] if plan.predictions else scenes)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction
@@ -267,23 +282,6 @@ def paper(
         )
     activity.end()
     print(page)
-
-
-_COMPOSED = _WITH_ANY | {"EXPERIMENT", "--composed"}
-_WITH_COMPOSED = {"--predictions": _COMPOSED | {"--predictions"}, "--composed": _COMPOSED | {"--seeds", "--updates"}}
-_PREDICTION = frozenset({"--variants", "--val", "--updates", "--focal", "--composed", "--predictions"})
-
-
-def _check_fits(experiment: str, given: options.Given) -> None:
-    """Errors: ConfigError for an option of another experiment, or of what is there already."""
-    wrong = dict.fromkeys(_PREDICTION, "prediction") | ({"--agents": "the others"} if experiment == "density" else {})
-    if experiment == "prediction":
-        wrong = dict.fromkeys(("--map", "--window", "--stride"), "the others")
-    for name in sorted(given & wrong.keys()):
-        raise ConfigError(f"{name} does nothing in {experiment}, expected it with {wrong[name]} only")
-    if "--composed" in given:
-        way = "--predictions" if "--predictions" in given else "--composed"
-        given.check(_WITH_COMPOSED[way], way)
 
 
 def _tell_left_out(how: str, lines: Sequence[str], activity: Activity) -> None:
@@ -402,7 +400,7 @@ def forecast(
 
     features, network = small_forecaster()
     from bridge.forecasting.predictions import write_forecasts
-    from bridge.recordings.folders import find_scenarios
+    from bridge.recordings.sources import find_scenarios
     from hid2.params import Forecasting
 
     updates = updates or Forecasting().updates

@@ -268,8 +268,10 @@ class Batch(NamedTuple):
     scheduler: str | None = running("A running Dask scheduler, tcp://HOST:PORT.", None, "ADDRESS")
     scene_timeout: float = running("Seconds after which a scene is ended and quarantined.", 300.0, "S", min=1)
 
-    def options(self, **more: Any) -> "Options":
-        """As `run_batch` takes it, with more of its options. Errors: ConfigError."""
+    def options(self, *, selects: bool = False, **more: Any) -> "Options":
+        """As `run_batch` takes it, with more of its options. selects: scenes are read here too. Errors: ConfigError."""
         from bridge.batch.batch import Options
 
+        if self.scheduler is not None and self.jobs > 1 and not selects:
+            raise ConfigError(f"--jobs {self.jobs} does nothing with --scheduler, which has its workers; leave it out")
         return Options(jobs=self.jobs, scheduler=self.scheduler, timeout_s=self.scene_timeout, **more)

@@ -10,8 +10,8 @@ from bridge.batch.manifest import is_output
 from bridge.cli.options import Which
 from bridge.console import Activity, say, warn
 from bridge.interruption import remove_abandoned
-from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, names_in, other_data
-from bridge.recordings.sources import READERS, described, find_one, find_recordings, fitting, nothing_at
+from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, other_data
+from bridge.recordings.sources import READERS, described, find_one, find_recordings, fitting, names_in, nothing_at
 from netconvert.errors import ConfigError
 
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
@@ -116,7 +116,7 @@ def _instead_of_file(path: Path) -> str:
 
 
 def _is_scene(folder: Path) -> bool:
-    names = frozenset(names_in(folder)) if folder.is_dir() else frozenset()
+    names = names_in(folder)
     return any(reader.is_folder and reader.sniff(folder, names) for reader in READERS)
 
 

@@ -32,7 +32,7 @@ def validate(
     activity.doing("checking scenes")
     from bridge.batch.validation import validate_folder
     from bridge.files import write_rows
-    from bridge.recordings.folders import find_scenarios
+    from bridge.recordings.sources import find_scenarios
     from bridge.recordings.validate import FileBreach
 
     findings = validate_folder(

@@ -59,8 +59,7 @@ def calibrate_folder(
 
 def scenes_below(roots: Sequence[Path]) -> dict[str, Path]:
     """The Argoverse 2 scenes below some folders by id, each once; what is left out is logged. Errors: NoSceneError."""
-    found = find_sources(roots)
-    scenes: dict[str, Path] = {}
+    found, scenes = find_sources(roots), dict[str, Path]()
     for folder in (one for one in found if isinstance(one, Path)):
         if (first := scenes.setdefault(source_id(folder), folder)) is not folder:
             _LOG.warning("%s: the same scene as %s, left out", folder, first)

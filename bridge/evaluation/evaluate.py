@@ -15,11 +15,11 @@ from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, table_file, write_json, write_rows
+from bridge.files import table_file, table_text, write_json, write_rows
 from bridge.pages.parts import number, write_page
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, is_generated, source_id
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, is_generated, source_id
 from bridge.recordings.sidecar import sidecar_in
-from bridge.recordings.sources import find_recordings, fitting, source_files
+from bridge.recordings.sources import find_recordings, find_scenarios, fitting, source_files
 from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError, ScenarioError
@@ -66,8 +66,8 @@ def evaluate_folder(
                 if name not in tables:  # no folder is made where no scene can be measured
                     stream = stack.enter_context(table_file(report_dir / f"{name}.csv"))
                     tables[name] = stream, TABLES[name] or [*rows[0]]
-                    append_rows(stream, [tables[name][1]])
-                append_rows(tables[name][0], _cells(rows, tables[name][1]))
+                    stream.write(table_text([tables[name][1]]))
+                tables[name][0].write(table_text(_cells(rows, tables[name][1])))
         if set(folders) <= {folder for folder, _ in failures}:
             raise ScenarioError(
                 f"{out}: none of {len(folders)} scenes can be read, expected one at least; {failures[0][0]}: "

@@ -202,8 +202,8 @@ def resimulate_folders(
     load_config(flags={"request.seed": plan.seed})  # before anything is driven
     folders = [*scenes_below(paths).values()]
     if len(folders) < 2:
-        there = f"{len(folders)} scene{'s' * (not folders)}"
-        raise ConfigError(f"{paths[0]}: {there}, expected two at least: each half is driven as calibrated in the other")
+        said = f"{paths[0]}: Argoverse 2 scenes: {len(folders)}, expected two at least"
+        raise ConfigError(f"{said}: each half is driven as calibrated in the other")
     seen, failures = sorted_out(work_on_each(observe_scene, folders, LAST + 1, jobs=jobs, chunk=4, timeout_s=120))
     folders = [one for one in folders if one not in {failed for failed, _ in failures}]
     halves = [drivers_of(calibrate(seen[1 - half :: 2], prior=Drivers())) for half in (0, 1) if seen[1:]]
@@ -215,7 +215,8 @@ def resimulate_folders(
     failures += failed
     some = [scene for scene in scenes if scene.driven]
     if len(some) < 2:
-        said = f"; {failures[0][0]}: {failures[0][1]}" if failures else ""
+        left = Counter(why for scene in scenes for why in scene.left.values()).most_common(1)
+        said = "".join(f"; {at}: {why}" for at, why in [*failures[:1], *((f"{n} vehicles", why) for why, n in left)])
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
         others = [[part[:, :, : LAST + 1] for part in one.recorded] for one in some if one is not scene]

@@ -26,8 +26,9 @@ from bridge.forecasting.composition import Composition, Count, Draw
 from bridge.forecasting.places import Leak, SourceScene, facts_of_scenes, leaks_between, split_by_place, stratum
 from bridge.interruption import hidden_folder, remove_abandoned
 from bridge.recordings.export import parquet_bytes
-from bridge.recordings.folders import RAW, SPLITS, find_scenarios, split_of
+from bridge.recordings.folders import RAW, SPLITS, split_of
 from bridge.recordings.scenario import MAX_STEPS
+from bridge.recordings.sources import find_scenarios
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 

@@ -31,8 +31,7 @@ from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
-from bridge.recordings.folders import find_scenarios
-from bridge.recordings.sources import find_sources
+from bridge.recordings.sources import find_scenarios, find_sources
 from hid2.params import Config, Forecasting, Request
 from hid2.resampling import Estimate
 from netconvert.errors import BatchError, ConfigError, ScenarioError

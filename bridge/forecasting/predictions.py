@@ -23,9 +23,10 @@ from bridge.files import beside, make_folder, write_rows
 from bridge.forecasting.compose import origins_of
 from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
-from bridge.recordings.folders import find_scenarios, source_id
+from bridge.recordings.folders import source_id
 from bridge.recordings.recording import Rows
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, read_rows
+from bridge.recordings.sources import find_scenarios
 from hid2.agents import FloatArray, IntArray
 from hid2.params import Forecasting
 from hid2.resampling import UNITS_LEAST, Estimate, draws, interval
@@ -188,7 +189,7 @@ def _future_steps(scene: Rows) -> int:
 
 def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[_ScoreRow], list[str]]:
     """Scores of a scene by its forecast, and what of it cannot be scored."""
-    scene, forecast = read_rows(item[0]), item[1]
+    (scene, *_), forecast = read_rows(item[0]), item[1]
     if forecast is None:
         return [], [f"{scene.scenario_id}: no forecast"]
     probabilities, by_track = baseline(scene, forecast) if isinstance(forecast, str) else forecast
@@ -357,8 +358,7 @@ def compare_predictions(
     if len(models) < 2:
         raise ConfigError("one model's predictions, expected two or more to compare (NAME=FILE, each with its NAME)")
     make_folder(report_dir)
-    runs: dict[str, list[pd.DataFrame]] = {}
-    left_out: list[str] = []
+    runs, left_out = dict[str, list[pd.DataFrame]](), list[str]()
     for name, files in models.items():
         for file in files:
             scores, reasons = score_predictions(scenes, predictions=file, jobs=jobs, on_scene=on_scene)

@@ -1,12 +1,11 @@
 """Every look at a gap as a row, and `gaps_<id>.csv.gz` beside a scene."""
 
 import gzip
-import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from bridge.files import append_rows, rounded
+from bridge.files import rounded, table_text
 from hid2.policy.lane_change import Gap
 from hid2.vehicle import DrivenVehicle, GapLook
 
@@ -96,8 +95,5 @@ def neighbour_row(name: str, gap: Gap, *, follower_mps: float, leader_mps: float
 
 def gaps_bytes(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str], *, step_s: float) -> bytes:
     """`gaps_<id>.csv.gz`. Same looks, same bytes."""
-    text = io.StringIO()
-    append_rows(text, [GAP_COLUMNS])
-    looks = gap_rows(driven, names, step_s=step_s)
-    append_rows(text, ([look.get(column) for column in GAP_COLUMNS] for look in looks))
-    return gzip.compress(text.getvalue().encode(), mtime=0)
+    looks = ([look.get(column) for column in GAP_COLUMNS] for look in gap_rows(driven, names, step_s=step_s))
+    return gzip.compress(table_text([GAP_COLUMNS, *looks]).encode(), mtime=0)

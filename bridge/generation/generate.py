@@ -10,9 +10,9 @@ import numpy as np
 
 from bridge.config import check_exportable, config_sha256, new_scenario_id
 from bridge.generation import records
-from bridge.generation.scene import TrafficScene, grid_of, scene_of
+from bridge.generation.scene import TrafficScene, scene_of
 from bridge.recordings.export import recording_record_of, with_generated, with_motion
-from bridge.recordings.plausibility import check_plausible
+from bridge.recordings.plausibility import implausible
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar, StatesRecord
 from bridge.sumo.drivers import model_parameters
@@ -32,7 +32,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
-from netconvert.cells import CellGrid
+from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ConfigError, ScenarioError
 from netconvert.net_xml import net_bytes
 
@@ -95,9 +95,9 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
         raise ScenarioError(
             f"{scenario.folder}: track {taken[0]!r}: ids gen_* are inserted vehicles'; rename the track"
         )
-    if config.source.plausible:
-        check_plausible(scenario)
-    return PreparedScene(scenario, grid_of(scenario, config), config)
+    if config.source.plausible and (said := implausible(scenario)):
+        raise ScenarioError(f"{scenario.folder}: {said}; --set source.plausible=false goes on all the same")
+    return PreparedScene(scenario, build_cell_grid(scenario.graph, cell_m=config.grid.cell_m), config)
 
 
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:

@@ -184,17 +184,12 @@ def read_scene(address: Address | str) -> TrafficScene:
     return TrafficScene(read_recording(find_one(Path(address)) if isinstance(address, str | Path) else address))
 
 
-def grid_of(recording: Recording, config: Config) -> CellGrid:
-    """Its lanes in cells. Errors: MapError."""
-    return build_cell_grid(recording.graph, cell_m=config.grid.cell_m)
-
-
 def scene_of(
     recording: Recording, config: Config, grid: CellGrid | None = None, *, tracks: Sequence[Track] | None = None
 ) -> Scene:
     """The scene; grid: where it is known; tracks: where recorded vehicles drive otherwise. Errors: MapError."""
     return build_scene(
-        grid_of(recording, config) if grid is None else grid,
+        build_cell_grid(recording.graph, cell_m=config.grid.cell_m) if grid is None else grid,
         recording.tracks if tracks is None else tracks,
         config=config,
         num_steps=recording.num_steps,

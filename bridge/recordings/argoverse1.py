@@ -37,7 +37,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import shapely
-from pydantic import FailFast, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import FailFast, FiniteFloat, TypeAdapter
 from typing_extensions import TypedDict
 
 from bridge.files import beside, one_line, read_received
@@ -45,7 +45,7 @@ from bridge.recordings import limits
 from bridge.recordings.folders import Source, only_file, sequence_path
 from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.recordings.recording import Recording, velocity_of
-from bridge.recordings.scenario import recording_of, split_rows, table_of
+from bridge.recordings.scenario import recording_of, split_rows, table_of, typed
 from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
 from netconvert.av1_map import CityLane, cut_city, drivable_raster, read_city_lanes
 from netconvert.errors import ExportError, MapError, ScenarioError
@@ -126,13 +126,8 @@ def check_sequence(content: bytes, name: str) -> pd.DataFrame:
     for number, line in enumerate(lines, start=2):
         if len(line) != len(header):
             raise ScenarioError(f"{name} line {number}: {len(line)} values, expected {len(header)}")
-    try:
-        rows = pd.DataFrame(_ROWS.validate_python([dict(zip(header, line, strict=True)) for line in lines]))
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        (row, column), wanted = first["loc"], first["msg"].removeprefix("Input should be ")
-        said = f"{column} {one_line(first['input'], most=60)!r}, expected {wanted}"
-        raise ScenarioError(f"{name} line {int(row) + 2}: {said}") from error
+    checked = typed(_ROWS, [dict(zip(header, line, strict=True)) for line in lines], name)
+    rows = pd.DataFrame(checked)
     stamps, rows["timestep"] = np.unique(rows.TIMESTAMP, return_inverse=True)
     _check_stamps(stamps, name)
     types, of_type = rows.groupby("TRACK_ID").OBJECT_TYPE.unique(), rows.groupby("OBJECT_TYPE").TRACK_ID

@@ -1,17 +1,13 @@
 """Where recordings are and what they are called, by the names of files alone. Quick to import."""
 
-import contextlib
-import fnmatch
-import logging
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from netconvert.errors import MapError, NoSceneError, ScenarioError
+from netconvert.errors import MapError, ScenarioError
 
-_LOG = logging.getLogger(__name__)
 #: Names of the two files of a scenario folder.
 PARQUET_PATTERN, MAP_PATTERN = "scenario_*.parquet", "log_map_archive_*.json"
 #: Name of the file that hid2 writes beside them.
@@ -115,20 +111,6 @@ class Reader:
     takes: tuple[str, ...] = ()
 
 
-def find_scenarios(path: Path | str, depth: int = DEPTH) -> list[Path]:
-    """Scenario folders at a path: itself, or those up to `depth` folders below, sorted. Errors: NoSceneError."""
-    path = Path(path)
-    names = frozenset(names_in(path)) if path.is_dir() else frozenset()
-    found = [path] if has_scenario(names) else []
-    for folder in subfolders(path, names) if depth and not found else []:
-        with contextlib.suppress(NoSceneError):
-            found += find_scenarios(folder, depth - 1)
-    if not found:
-        what = "no scenario" if path.is_dir() else "no such folder"
-        raise NoSceneError(f"{path}: {what}; expected scenario_<id>.parquet in it or one to three folders below")
-    return sorted(found)
-
-
 def source_id(folder: Address) -> str:
     """Scenario id by the names of a folder's files; the folder's own name where none tells it."""
     if isinstance(folder, Source):
@@ -170,20 +152,6 @@ def only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError])
     return found[0]
 
 
-def names_in(folder: Path) -> list[str]:
-    """Names in a folder. One that may not be read, as at the root of a disk, is logged: it holds no scenes."""
-    try:
-        return [entry.name for entry in folder.iterdir()]
-    except OSError as error:
-        _LOG.warning("%s: cannot be read (%s)", folder, error.strerror or error)
-        return []
-
-
-def has_scenario(names: frozenset[str]) -> bool:
-    """Whether a folder with these names in it is a scenario folder."""
-    return any(fnmatch.filter(names, pattern) for pattern in (PARQUET_PATTERN, MAP_PATTERN))
-
-
 def is_generated(folder: Path) -> bool:
     """Whether hid2 wrote a scene: it has a sidecar."""
     return any(folder.glob(SIDECAR_PATTERN))
@@ -199,8 +167,3 @@ def other_data(path: Path, *, depth: int = 0) -> str:
             reads = "Argoverse 2 scenes or sensor logs or Argoverse 1 sequences (columns: bridge/recordings/README.md)"
             return f"this is {what}{where}, which hid2 does not read; expected {reads}: convert it to one of them"
     return ""
-
-
-def subfolders(path: Path, names: frozenset[str]) -> list[Path]:
-    """The folders among the names in a folder, sorted; hidden ones are left out."""
-    return sorted(path / name for name in names if not name.startswith(".") and (path / name).is_dir())

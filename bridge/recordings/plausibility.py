@@ -8,7 +8,6 @@ from bridge.recordings.recording import Recording
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.plausibility import Plausibility, plausibility
-from netconvert.errors import ScenarioError
 
 #: Least vehicles that tell something: one or two may reverse, leave a car park or be tracked badly.
 LEAST_VEHICLES = 3
@@ -22,12 +21,6 @@ LEAST_MAPPED = 0.25
 MOST_TURNED = 0.5
 #: Bound of the share of moving vehicles that fit a lane only after a shift beyond half a lane; least of them that tell.
 MOST_GAIN, LEAST_GAINING = 0.15, 2
-
-
-def check_plausible(recording: Recording) -> None:
-    """Refuse a recording with tracks that do not fit its map or each other. Errors: ScenarioError with the figure."""
-    if said := implausible(recording):
-        raise ScenarioError(f"{recording.folder}: {said}; --set source.plausible=false goes on all the same")
 
 
 def figures_of(recording: Recording) -> Plausibility:

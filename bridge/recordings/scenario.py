@@ -5,13 +5,14 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import TypeAdapter, ValidationError
+from pydantic import FailFast, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from bridge.config import is_corridor
 from bridge.files import one_line, read_received
@@ -19,7 +20,7 @@ from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, Source, only_file, source_id, split_of
 from bridge.recordings.map_rules import check_ground, read_source_map
 from bridge.recordings.recording import Recording, Rows
-from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import BoxLength, BoxWidth, Provenance, RecordingRecord, Sidecar, sidecar_in
 from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
 from netconvert.av2_map import Breach
 from netconvert.errors import MapError, NoSceneError, ScenarioError
@@ -51,10 +52,19 @@ REQUIRED_COLUMNS: Mapping[str, tuple[pa.DataType, ...]] = {
 SCHEMA = pa.schema([(name, types[0]) for name, types in REQUIRED_COLUMNS.items()])
 #: Columns that say the same in every row.
 SCENARIO_COLUMNS = ("scenario_id", "start_timestamp", "end_timestamp", "num_timestamps", "focal_track_id", "city")
-_BOX = TypeAdapter(tuple[BoxLength, BoxWidth])
 #: Columns that messages name a row by.
 _NAMES_A_ROW = ("track_id", "timestep", "track_uuid", "timestamp_ns")
 MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
+_Row = TypeVar("_Row")
+
+
+class _Sizes(TypedDict):
+    track_id: str
+    length_m: BoxLength
+    width_m: BoxWidth
+
+
+_SIZES = TypeAdapter(Annotated[list[_Sizes], FailFast()])
 
 
 def read_scenario(folder: Path) -> Recording:
@@ -65,11 +75,11 @@ def read_scenario(folder: Path) -> Recording:
     breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
-    rows, sidecar = _rows_in(folder)
-    path, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
+    rows, known, sidecar = read_rows(folder)
+    map_path = only_file(folder, MAP_PATTERN, MapError)
     if rows.scenario_id != source_id(folder):
+        path = only_file(folder, PARQUET_PATTERN, ScenarioError)
         raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
-    known = _recording_record(folder, sidecar)
     source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
     return recording_of(source, rows, read_source_map(map_path), provenance=known.provenance, sidecar=sidecar)
 
@@ -86,35 +96,20 @@ def recording_of(source: Source, rows: Rows, graph: LaneGraph, **more: Any) -> R
     return Recording(**own, **more, **given, graph=graph, folder=source.path)
 
 
-def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
-    """What is known of the recording in a scenario folder: by the sidecar of a generated scene, else by the format.
+def read_rows(folder: Path) -> tuple[Rows, RecordingRecord, Sidecar | None]:
+    """The rows of a scenario folder, checked as `read_scenario` does, what is known of their recording, the sidecar.
 
-    A recorded scene with sizes beside it was labelled by people, any other one tracked.
+    A recorded scene with sizes beside it was labelled by people, any other one tracked. Errors: ScenarioError.
     """
-    if sidecar is not None:
-        return sidecar.recording
-    return RecordingRecord(
-        format="argoverse2",
-        provenance="human" if (folder / SIZES_FILE).exists() else "tracker",
-        step_s=STEP_S,
-        observed_steps=OBSERVED_STEPS,
-    )
-
-
-def read_rows(folder: Path) -> Rows:
-    """The rows of a scenario folder, checked as `read_scenario` does, without its map. Errors: ScenarioError."""
-    return _rows_in(folder)[0]
-
-
-def _rows_in(folder: Path) -> tuple[Rows, Sidecar | None]:
-    """The rows of a scenario folder, with the sizes beside it, and the sidecar."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     table, sidecar = read_table(path), sidecar_in(folder)
-    known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
+    by: Provenance = "human" if (folder / SIZES_FILE).exists() else "tracker"
+    recorded = RecordingRecord(format="argoverse2", provenance=by, step_s=STEP_S, observed_steps=OBSERVED_STEPS)
+    known, sizes = recorded if sidecar is None else sidecar.recording, sizes_of(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return replace(rows, step_s=known.step_s), sidecar
+    return replace(rows, step_s=known.step_s), known, sidecar
 
 
 def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:
@@ -128,8 +123,8 @@ def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_st
 def track_columns(tracks: Sequence[Track], observed_steps: int) -> dict[str, pa.Array]:
     """The columns that differ from row to row, of tracks one after the other."""
     timestep = np.concatenate([np.empty(0, np.int64), *(track.timesteps for track in tracks)])
-    position = np.concatenate([np.empty((0, 2)), *(track.position for track in tracks)])
-    velocity = np.concatenate([np.empty((0, 2)), *(track.velocity for track in tracks)])
+    each = (np.column_stack([track.position, track.heading, track.velocity]) for track in tracks)
+    motion = np.concatenate([np.empty((0, len(MOTION_COLUMNS))), *each])
     owner = np.repeat(np.arange(len(tracks)), [len(track.timesteps) for track in tracks]).tolist()
     return {
         "observed": pa.array(timestep < observed_steps),
@@ -137,11 +132,7 @@ def track_columns(tracks: Sequence[Track], observed_steps: int) -> dict[str, pa.
         "object_type": pa.array([tracks[k].object_type for k in owner], pa.string()),
         "object_category": pa.array([tracks[k].category for k in owner], pa.int64()),
         "timestep": pa.array(timestep),
-        "position_x": pa.array(position[:, 0]),
-        "position_y": pa.array(position[:, 1]),
-        "heading": pa.array(np.concatenate([np.empty(0), *(track.heading for track in tracks)])),
-        "velocity_x": pa.array(velocity[:, 0]),
-        "velocity_y": pa.array(velocity[:, 1]),
+        **dict(zip(MOTION_COLUMNS, map(pa.array, motion.T), strict=True)),
     }
 
 
@@ -191,7 +182,6 @@ def split_rows(
     name: what messages call the table; sizes: boxes by track id, by object type where a track has none.
     Errors: ScenarioError with track, timestep, value and what was expected.
     """
-    check_columns(table, name, REQUIRED_COLUMNS)
     rows = RowArrays.of(table, observed_steps=observed_steps)
     for _, said in row_breaches(rows):
         raise ScenarioError(f"{name}: {said}")
@@ -273,12 +263,13 @@ def row_breaches(rows: RowArrays) -> Iterator[Breach]:
         if len(values) != 1:
             shown = one_line(str(values[:3]), most=200)
             yield "constant", f"column {column!r} has {len(values)} values {shown}, expected one"
-    for column in ("scenario_id", "focal_track_id", "city"):
-        yield from _unprintable(str(same[column][0]), column, "city" if column == "city" else "columns")
     if len(rows.ids) > limits.MAX_TRACKS:
         yield "columns", f"{len(rows.ids)} tracks, expected at most {limits.MAX_TRACKS}"
-    for track_id in rows.ids:
-        yield from _unprintable(track_id, "track_id", "columns")
+    names = [(column, str(same[column][0])) for column in ("scenario_id", "focal_track_id", "city")]
+    for what, text in (*names, *(("track_id", track_id) for track_id in rows.ids)):  # which go into files and messages
+        if not text or len(text) > limits.MAX_NAME or not text.isprintable():
+            said = f"{what} {one_line(text, most=60)!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
+            yield "city" if what == "city" else "columns", said
     for rule, wrong, said, *values in _masks(rows, most_steps):
         found = np.flatnonzero(wrong)
         if len(found):
@@ -315,13 +306,6 @@ def _masks(rows: RowArrays, most_steps: int) -> Iterator[tuple[Any, ...]]:
         yield "constant", values != values[rows.starts[code]], f"{column} changes within the track"
 
 
-def _unprintable(text: str, what: str, rule: str) -> Iterator[Breach]:
-    """Ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
-    if not text or len(text) > limits.MAX_NAME or not text.isprintable():
-        shown = one_line(text, most=60)
-        yield rule, f"{what} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
-
-
 def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[Breach]:
     focals = [rows.ids[code] for code in np.unique(rows.code[rows.category == FOCAL_CATEGORY])]
     if focals != [focal_track_id]:
@@ -354,22 +338,27 @@ def sizes_of(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
 
     Errors: ScenarioError.
     """
-    sizes: dict[str, BoxSize] = {}
-    path = folder / SIZES_FILE
+    sizes, path = dict[str, BoxSize](), folder / SIZES_FILE
     if path.exists():
         try:
             text = read_received(path, ScenarioError, wanted="sizes of tracks").decode()
-            for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
-                try:
-                    box = _BOX.validate_python((row["length_m"], row["width_m"]))
-                except ValidationError:
-                    have = f"length_m {row['length_m']!r}, width_m {row['width_m']!r}"
-                    wanted = "metres above 0 and below 50 and 10"
-                    raise ScenarioError(f"{path} line {number}: {have}, expected {wanted}") from None
-                sizes[row["track_id"]] = BoxSize(*box)
-        except (KeyError, UnicodeDecodeError, csv.Error) as error:
+            rows = [*csv.DictReader(text.splitlines(), restkey="more")]
+        except (UnicodeDecodeError, csv.Error) as error:
             raise ScenarioError(f"{path}: expected columns track_id, length_m, width_m ({error})") from error
+        sizes = {one["track_id"]: BoxSize(one["length_m"], one["width_m"]) for one in typed(_SIZES, rows, str(path))}
     return sizes if sidecar is None else sizes | sidecar.boxes
+
+
+def typed(kind: TypeAdapter[list[_Row]], rows: Sequence[Mapping[str, Any]], name: str) -> list[_Row]:
+    """Rows of a CSV file with a head, as of their types. name: for messages. Errors: ScenarioError."""
+    try:
+        return kind.validate_python(rows)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        row, column = first["loc"][:2]
+        wanted = first["msg"].removeprefix("Input should be ")
+        have = f"no {column}" if first["type"] == "missing" else f"{column} {one_line(str(first['input']), most=60)!r}"
+        raise ScenarioError(f"{name} line {int(row) + 2}: {have}, expected {wanted}") from error
 
 
 def check_size(name: str, *, rows: int, columns: int, unpacked_mb: float = 0.0) -> None:

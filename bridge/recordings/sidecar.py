@@ -217,11 +217,6 @@ class SelectionRecord(_Record):
     dropped: Drives
     recorded: Drives
 
-    @property
-    def driven(self) -> int:
-        """Vehicles that were driven."""
-        return self.kept.vehicles + self.dropped.vehicles
-
 
 class EventRecord(_Record):
     """One event that was asked for, what became of it, and what it was like for its target as recorded.

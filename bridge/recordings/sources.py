@@ -125,7 +125,7 @@ SENSOR_LOG = Reader(
 ARGOVERSE2 = Reader(
     name="argoverse2",
     many="Argoverse 2 scenes",
-    sniff=lambda _, names: folders.has_scenario(names),
+    sniff=lambda _, names: any(fnmatch.filter(names, pattern) for pattern in (folders.PARQUET_PATTERN, MAP_PATTERN)),
     find=lambda path, _, choices: [path],
     files=lambda folder: [path for pattern in _SCENE_FILES for path in folder.glob(pattern)],
 )
@@ -146,6 +146,15 @@ ARGOVERSE1 = Reader(
 READERS: tuple[Reader, ...] = (SENSOR_LOG, ARGOVERSE2, ARGOVERSE1)
 
 
+def find_scenarios(path: Path | str, depth: int = DEPTH) -> list[Path]:
+    """Scenario folders at a path: itself, or those up to `depth` folders below, sorted. Errors: NoSceneError."""
+    found = [one for one in _walk(Path(path), Choices(), depth, (ARGOVERSE2,)) if isinstance(one, Path)]
+    if not found:
+        what = "no scenario" if Path(path).is_dir() else "no such folder"
+        raise NoSceneError(f"{path}: {what}; expected scenario_<id>.parquet in it or one to three folders below")
+    return sorted(found)
+
+
 def find_recordings(paths: Sequence[Path], choices: Choices | None = None, *, generated: bool = True) -> list[Address]:
     """Recordings and generated scenes at all paths, each once, in the order of the paths.
 
@@ -156,7 +165,7 @@ def find_recordings(paths: Sequence[Path], choices: Choices | None = None, *, ge
     again: list[Address] = []
     for path in paths:
         try:
-            there = list(_walk(path, choices or Choices(), DEPTH))
+            there = list(_walk(path, choices or Choices(), DEPTH, READERS))
         except OSError as error:  # a name that the system refuses, or a folder that may not be read
             raise NoSceneError(f"{one_line(str(path), most=200)}: cannot be looked into ({error.strerror})") from error
         if not there:
@@ -183,7 +192,7 @@ def find_sources(paths: Sequence[Path], choices: Choices | None = None) -> list[
 
 def find_one(path: Path, choices: Choices | None = None) -> Address:
     """The one recording or generated scene at a path. Errors: ConfigError for several; NoSceneError for none."""
-    found = list(islice(_walk(path, choices or Choices(), DEPTH), 2))
+    found = list(islice(_walk(path, choices or Choices(), DEPTH, READERS), 2))
     if len(found) > 1:
         raise ConfigError(f"{path}: holds several scenes, expected one of them, such as {found[0]}")
     if not found:
@@ -244,14 +253,24 @@ def described(found: Sequence[Address]) -> list[str]:
     return lines + [reader.lacks for reader in readers if reader.lacks]
 
 
-def _walk(path: Path, choices: Choices, depth: int) -> Iterator[Address]:
-    """Recordings at a path and below; folders of a recording are not looked into."""
-    names = frozenset(folders.names_in(path)) if path.is_dir() else frozenset()
-    for reader in READERS:
+def names_in(folder: Path) -> frozenset[str]:
+    """Names in a folder; none in a file. One that may not be read, as at the root of a disk, is logged: no scenes."""
+    try:
+        return frozenset(entry.name for entry in folder.iterdir()) if folder.is_dir() else frozenset()
+    except OSError as error:
+        _LOG.warning("%s: cannot be read (%s)", folder, error.strerror or error)
+        return frozenset()
+
+
+def _walk(path: Path, choices: Choices, depth: int, readers: tuple[Reader, ...]) -> Iterator[Address]:
+    """Recordings at a path and below; neither folders of a recording nor hidden ones are looked into."""
+    names = names_in(path)
+    for reader in readers:
         if reader.sniff(path, names):
             yield from reader.find(path, names, choices)
             if reader.is_folder:
                 return
-    for folder in folders.subfolders(path, names) if depth else []:
-        if not (folder.name == folders.SEQUENCES and _MANIFEST in names):  # what hid2 wrote for loaders of Argoverse 1
-            yield from _walk(folder, choices, depth - 1)
+    for folder in (path / name for name in sorted(names) if depth and not name.startswith(".")):
+        of_hid2 = folder.name == folders.SEQUENCES and _MANIFEST in names  # what it wrote for loaders of Argoverse 1
+        if folder.is_dir() and not of_hid2:
+            yield from _walk(folder, choices, depth - 1, readers)

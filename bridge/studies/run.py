@@ -39,8 +39,7 @@ def run_study(
     out_dir holds another study.
     """
     contents = f"study {study.name}: {study.kind} by {', '.join(study.points[0])}"
-    functions = study.rules  # in the user's own file
-    options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=functions, contents=contents)
+    options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=study.rules, contents=contents)
     out_dir = Path(out_dir)
     rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
     from bridge.studies.page import write_results  # pandas, statsmodels, matplotlib: at the end

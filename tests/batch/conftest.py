@@ -8,7 +8,7 @@ from served import Here
 from written import copy_with_new_id
 
 from bridge.batch.batch import Options, plan, run_batch
-from bridge.recordings.folders import find_scenarios
+from bridge.recordings.sources import find_scenarios
 from hid2.params import Config
 
 HERE = Path(__file__).parent

@@ -20,8 +20,7 @@ from bridge.batch.batch import RUNS_OF_A_TASK, Options, Progress, plan, reproduc
 from bridge.batch.manifest import DONE, QUARANTINED, Manifest, ManifestRow
 from bridge.config import load_config
 from bridge.generation.program import code_version
-from bridge.recordings.folders import find_scenarios
-from bridge.recordings.sources import find_recordings, find_sources
+from bridge.recordings.sources import find_recordings, find_scenarios, find_sources
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 

@@ -13,8 +13,8 @@ from shared_data import SHARED_DATA
 
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 from hid2.params import Config, Request
 
 

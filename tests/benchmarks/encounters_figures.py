@@ -15,8 +15,8 @@ from shared_data import SHARED_DATA
 from bridge.config import load_config
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 
 #: Vehicles of two variants are twins where they start and are 5 s later this near to each other, m.
 TWIN_START_M, TWIN_LATER_M, LATER_S = 3.0, 5.0, 5.0

@@ -28,8 +28,8 @@ from unsteered import simulate_unsteered
 
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 from bridge.sumo.poses import sumo_poses
 from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.events import SceneEvents

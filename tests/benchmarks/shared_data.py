@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 
 SHARED_DATA = Path(os.environ.get("HID2_SHARED_DATA") or Path(__file__).resolve().parents[3].joinpath("shared", "data"))
 #: The fourteen real scenes.

@@ -29,7 +29,7 @@ from shared_data import SHARED_DATA
 
 from bridge.batch.batch import Options, SceneJob, plan, run_batch
 from bridge.config import load_config
-from bridge.recordings.folders import find_scenarios
+from bridge.recordings.sources import find_scenarios
 from bridge.recordings.validate import Against, validate_scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))

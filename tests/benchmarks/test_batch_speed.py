@@ -21,7 +21,7 @@ from shared_data import SHARED_DATA
 
 from bridge.batch.batch import Options, Progress, Run, SceneJob, run_batch
 from bridge.batch.manifest import ManifestRow
-from bridge.recordings.folders import find_scenarios
+from bridge.recordings.sources import find_scenarios
 from hid2.params import Config, Request
 
 LEAST_SPEED_UP = 1.8

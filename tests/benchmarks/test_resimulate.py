@@ -20,8 +20,8 @@ import pytest
 from unsteered import simulate_unsteered, unsteered_start
 
 from bridge.evaluation.resimulate import MODELS, Resimulation, ResimulationPlan, resimulate_folders
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 from bridge.sumo.poses import sumo_poses
 from hid2.evaluation.likelihood import LAST, NOW, beyond_edge, features
 from hid2.evaluation.resimulated import begin, own_path

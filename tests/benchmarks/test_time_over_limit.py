@@ -32,8 +32,8 @@ from unsteered import simulate_unsteered, unsteered_start
 
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 from bridge.sumo.poses import sumo_poses
 from bridge.sumo.simulation import Simulation
 from hid2.params import Config, Request

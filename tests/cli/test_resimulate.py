@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from written import copy_with_new_id, edit_rows
+from written import copy_with_new_id, edit_rows, standing
+
+from bridge.evaluation.resimulate import ResimulationPlan, resimulate_folders
+from netconvert.errors import ScenarioError
 
 Run = Callable[..., Any]
 HOW = ("--seeds", 2, "--write", 1)
@@ -61,6 +64,16 @@ def test_scenes_of_another_run_are_not_mixed_with_new_ones(hid2: Run, ended: Pat
     assert (result.returncode, f"{ended / 'scenes'}: is there already" in result.stderr) == (2, True), result.stderr
     result = hid2("resimulate", *scenes, "-o", ended / "new", "--seed", 2**31)
     assert (result.returncode, "request.seed = 2147483648, expected" in result.stderr) == (2, True), result.stderr
+
+
+def test_scenes_without_a_vehicle_to_drive_are_refused_with_the_commonest_reason(
+    data_scenes: dict[str, Path], tmp_path: Path, here: None
+) -> None:
+    """Two scenes in which every track stays where it is first seen."""
+    for name in ("00000000-0000-4000-8000-000000000000", "00000001-0000-4000-8000-000000000000"):
+        edit_rows(copy_with_new_id(data_scenes["intersection"], tmp_path / name, name), standing)
+    with pytest.raises(ScenarioError, match=r"0 scenes with a vehicle to drive, .*; \d+ vehicles: parked, or stands"):
+        resimulate_folders([tmp_path], tmp_path.with_name("out"), ResimulationPlan(1))
 
 
 def test_same_request_gives_the_same_bytes_whatever_the_workers(

@@ -13,8 +13,8 @@ from second_map import SecondMap
 
 from bridge.config import config_from_dict
 from bridge.generation.generate import generate
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 from bridge.recordings.validate import Against, validate_scene
 from hid2.judge.claims import FIGURES
 from hid2.judge.findings import Quantity

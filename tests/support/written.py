@@ -118,3 +118,10 @@ def contents(out: Path) -> dict[str, str]:
     """Digest of every scenario folder below out, by its path."""
     folders = {path.parent for path in out.rglob("scenario_*.parquet")}
     return {folder.relative_to(out).as_posix(): files_sha256(output_files(folder)) for folder in folders}
+
+
+def standing(rows: pd.DataFrame, *, jitter_m: float = 0.0) -> pd.DataFrame:
+    """Every track where it is first seen, but to and fro along x."""
+    first = rows.groupby("track_id")[["position_x", "position_y"]].transform("first")
+    x = first.position_x + jitter_m * (rows.timestep % 2)
+    return rows.assign(position_x=x, position_y=first.position_y, velocity_x=0.0, velocity_y=0.0)

@@ -171,11 +171,11 @@ def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, s
 
 @pytest.mark.parametrize(("kinds", "values", "criticality", "said"), [
     ([], {"target": "av", "gap_m": "2:3"}, ["ttc=1:2"], "--target, --gap, --criticality without --event; say"),
-    (["cut_in"], {"gap_m": "wide"}, [], "--gap 'wide': expected A:B"),
+    (["cut_in"], {"gap_m": "wide"}, [], "--gap: 'wide', expected A:B"),
     (["cut_in"], {"at_s": "late"}, [], "--at: 'late', expected A or A:B"),
     (["cut_in"], {}, ["ttc=1:2", "ttc=2:3"], "--criticality 'ttc=2:3': ttc is asked for twice"),
     (["cut_in"], {}, ["thw=1:2"], "--criticality 'thw=1:2': expected ttc=A:B"),
-    (["cut_in"], {}, ["ttc=low"], "--criticality ttc 'low': expected A:B"),
+    (["cut_in"], {}, ["ttc=low"], "--criticality ttc: 'low', expected A:B"),
 ])  # fmt: skip
 def test_options_of_events_that_are_wrong_are_named(
     kinds: list[str], values: dict[str, str], criticality: list[str], said: str

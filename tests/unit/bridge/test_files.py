@@ -46,7 +46,7 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
         files.read_regular(tmp_path / "file", most_mb=1)
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path(os.devnull)):
-        with pytest.raises(OSError, match="not a regular file"):
+        with pytest.raises(OSError, match=r"not a regular file|Is a directory"):
             files.read_regular(path, most_mb=1)
 
 
@@ -85,9 +85,8 @@ NOT_RUN = (-1, -2.5, "-2.5", "+1e-07", "-inf", "-", "", "gen_0", "'quoted'", "a=
 @pytest.mark.parametrize("value", [*RUN, *NOT_RUN])
 def test_text_that_a_spreadsheet_would_run_goes_behind_an_apostrophe_and_comes_back(value: object) -> None:
     """Numbers and other texts stay as they are."""
-    stream, text = io.StringIO(), "" if value is None else str(value)
-    files.append_rows(stream, [["first", value]])
-    ((_, cell),) = csv.reader(io.StringIO(stream.getvalue()))
+    text = "" if value is None else str(value)
+    ((_, cell),) = csv.reader(io.StringIO(files.table_text([["first", value]])))
     assert cell == (f"'{text}" if value in RUN else text)
     assert files.untabled(cell) == text
 

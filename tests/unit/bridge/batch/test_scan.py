@@ -4,9 +4,8 @@ import csv
 from collections.abc import Callable
 from pathlib import Path
 
-import pandas as pd
 import pytest
-from written import edit_rows
+from written import edit_rows, standing
 
 from bridge.batch import scan
 from bridge.batch.scan import EVENTS, SceneFacts, Selection, describe_scene, facts_of, select, wanted
@@ -40,12 +39,7 @@ def test_selection(selection: Selection, names: str) -> None:
 def test_vehicles_that_stand_and_jitter_do_not_move(copy_scene: Callable[..., Path]) -> None:
     """To and fro by 10 cm at each of 109 steps: paths of 10.9 m that extend over nothing."""
     scene = copy_scene("curve")
-
-    def standing(rows: pd.DataFrame) -> pd.DataFrame:
-        first = rows.groupby("track_id")[["position_x", "position_y"]].transform("first")
-        return rows.assign(position_x=first.position_x + 0.1 * (rows.timestep % 2), position_y=first.position_y)
-
-    edit_rows(scene, standing)
+    edit_rows(scene, lambda rows: standing(rows, jitter_m=0.1))
     assert describe_scene((), scene).moving == 0
 
 

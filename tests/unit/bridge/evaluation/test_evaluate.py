@@ -18,10 +18,10 @@ from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.generation.generate import prepare
-from bridge.recordings.folders import Choices, find_scenarios
+from bridge.recordings.folders import Choices
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
-from bridge.recordings.sources import find_recordings
+from bridge.recordings.sources import find_recordings, find_scenarios
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric

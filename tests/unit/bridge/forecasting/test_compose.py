@@ -18,8 +18,8 @@ from bridge.console import Activity
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, composition_of_sources
 from bridge.forecasting.places import SourceScene, groups_of, split_by_place
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 from bridge.toml import model_of, read_toml_as
 from netconvert.errors import ConfigError, NoSceneError
 

@@ -24,10 +24,9 @@ from bridge.forecasting.composition import Composition
 from bridge.forecasting.experiment import SETS, TrainingPlan, run_prediction, small_forecaster
 from bridge.forecasting.predictions import Difference, baseline, write_forecasts
 from bridge.pages.parts import macros
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
 from bridge.recordings.sidecar import sidecar_in
-from bridge.recordings.sources import find_recordings, read_recording
+from bridge.recordings.sources import find_recordings, find_scenarios, read_recording
 from bridge.toml import model_of
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
@@ -69,7 +68,7 @@ def brought(composed, tmp_path_factory):
             for validation in ("recorded", "hid2"):
                 forecasts = {}
                 for folder in find_scenarios(composed / "validation" / validation / "val"):
-                    rows = read_rows(folder)
+                    rows, *_ = read_rows(folder)
                     probabilities, by_track = baseline(rows, "constant-velocity")
                     moved = {track: modes + 0.5 * shift + 0.01 * seed for track, modes in by_track.items()}
                     forecasts[rows.scenario_id] = (probabilities, moved)

@@ -14,9 +14,8 @@ from bridge.config import load_config
 from bridge.forecasting import predictions
 from bridge.forecasting.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.generation.generate import generate
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sources import find_recordings, read_recording
+from bridge.recordings.sources import find_recordings, find_scenarios, read_recording
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 

@@ -5,7 +5,7 @@ import pytest
 
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scene_work import summarise
-from bridge.console import print_batch
+from bridge.cli.generation import print_batch
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.scenario import read_scenario

@@ -13,7 +13,7 @@ from bridge.batch.validation import validate_folder
 from bridge.config import load_config
 from bridge.generation.generate import prepare
 from bridge.recordings.folders import Choices
-from bridge.recordings.plausibility import LEAST_GAINING, LEAST_VEHICLES, check_plausible, figures_of, implausible
+from bridge.recordings.plausibility import LEAST_GAINING, LEAST_VEHICLES, figures_of, implausible
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_one, find_recordings, read_recording
 from hid2.measures.arrays import stack
@@ -35,7 +35,7 @@ def test_every_fault_is_refused_with_its_figure(spoiled_scenes: list[Path], tmp_
     for scene, other in zip(spoiled_scenes, [*spoiled_scenes[1:], spoiled_scenes[0]], strict=True):
         recording = read_scenario(plant(scene, tmp_path, change, other=other))
         with pytest.raises(ScenarioError, match=said) as caught:
-            check_plausible(recording)
+            prepare(recording, load_config())
         assert str(recording.folder) in str(caught.value)
         assert str(caught.value).endswith("; --set source.plausible=false goes on all the same")
         assert "\n" not in str(caught.value)

@@ -18,8 +18,8 @@ from written import edit_json, edit_rows, in_cell, in_first_lane, write_fake
 from bridge.batch.validation import validate_folder
 from bridge.config import load_config
 from bridge.generation.generate import generate
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import find_scenarios
 from hid2.judge.findings import Quantity
 from netconvert.errors import ConfigError, ScenarioError
 

@@ -138,12 +138,12 @@ def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -
     changes = [{"duration_s": seconds, "complete": seconds < 9.0} for seconds in (4.0, 5.0, 9.0)]
     runs = [{"lane_changes": one} for one in (changes, changes[:1], changes[:1])]
     page = read_public(page_in(tmp_path, page=UNTUNED_PAGE, road=ASKED))  # its counts publish flow and speed, too
-    one = RoadResult(page.road[0], "a rule", "as set", {}, runs)
+    one = RoadResult(page.road[0], "a rule P(a|b)", "as set", {}, runs)
     assert one.measures["duration_mean_s"] == pytest.approx((17.0 / 4.0, 4.0, 4.5))  # draws of one run alone
     assert one.measures["duration_median_s"].value == 4.0
     lists: dict[str, Any] = {"tests": [one], "causes": [(one, one)], "tried": [], "best": {}, "within": WITHIN}
     told = text("public.md.j2", page=page, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
-    assert "| Somewhere | a rule | as set | - | - | - |" in told
+    assert r"| Somewhere | a rule P(a\|b) | as set | - | - | - |" in told  # one cell of Markdown
     assert not [words for words in ("I-80", "2.4 %", "Does the road have its flow") if words in told]
     ngsim = read_public(ROOT / "data" / "public" / "ngsim.toml").model_copy(update={"road": page.road})
     assert "- Lane 1 of I-80 " in text("public.md.j2", page=ngsim, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from bridge.batch.requested import check_request
 from bridge.batch.scan import Selection, facts_of, select
 from bridge.config import functions_of, load_config, parse_behaviours
 from bridge.generation.generate import generate
 from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
-from hid2.policy.behaviours import BEHAVIOURS, is_shown, load_own
+from hid2.policy.behaviours import BEHAVIOURS, load_own
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -110,10 +111,13 @@ def test_what_is_no_behaviour_is_said(module: str, name: str, said: str) -> None
         load_own([f"{module}:{name}"])
 
 
-def test_predicate_that_fails_is_told_with_file_and_line(module: str) -> None:
-    (policy,) = load_own([f"{module}:fails"]).values()
-    with pytest.raises(ConfigError, match=rf"request.own: fails: is_shown: .*{module}.py:\d+: AttributeError"):
-        is_shown(policy, None, None)  # type: ignore[arg-type]
+def test_predicate_that_fails_is_told_before_any_scene_is_driven(
+    module: str, data_scenes: dict[str, Path], here: None
+) -> None:
+    late, fails = (load_config(None, [], parse_behaviours(f"{module}:{name}=1")) for name in ("late", "fails"))
+    check_request([*data_scenes.values()], late, [Policy("late")], jobs=1)
+    with pytest.raises(ConfigError, match=rf"behaviour fails: .* \(3 of 3\); .*{module}.py:\d+: Attribute"):
+        check_request([*data_scenes.values()], fails, [Policy("fails")], jobs=1)
 
 
 def test_policy_of_a_name_is_one_object_and_shares_that_are_named_are_all_that_there_are() -> None:

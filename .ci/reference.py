@@ -1,4 +1,4 @@
-"""Pages that are made of the code: `python -m bridge.cli.reference` writes them, a test compares them.
+"""Pages that are made of the code: `python .ci/reference.py` writes them, a test compares them.
 
 bridge/COMMANDS.md is what `--help` says, the table in hid2/REASONS.md what hid2/reasons.py has.
 """
@@ -12,14 +12,14 @@ from typer.main import get_command
 from bridge.cli.commands import application
 from hid2.reasons import Reason
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 PAGE, REASONS = ROOT / "bridge" / "COMMANDS.md", ROOT / "hid2" / "REASONS.md"
 #: Columns that the help is laid out for.
 _WIDTH = 100
 _INTRODUCTION = """\
 # Commands
 
-What `hid2 COMMAND --help` says; `python -m bridge.cli.reference` writes this page, and a test compares it.
+What `hid2 COMMAND --help` says; `python .ci/reference.py` writes this page, and a test compares it.
 
 Results go to stdout, messages to stderr. Exit codes: 0 all done, 1 some scene could not be done,
 2 usage or configuration, 130 or 143 interrupted. `hid2 --install-completion` adds completion to your shell.
