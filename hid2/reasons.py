@@ -147,7 +147,7 @@ class Reason(StrEnum):
     DID_NOT_DO_IT = auto(), "It did not perform its manoeuvre, and was replaced by another vehicle."
     BREAKS_EVENT = auto(), "It came between the two vehicles of a lead or follow event at its moment."
     TAKES_GAP = auto(), "It would be in a gap that a vehicle kept before takes, nearer than the paper's rule allows."
-    WAITED_FOR_GONE = auto(), "It had braked for a vehicle that is not exported, and was driven again."
+    WAITED_FOR_GONE = auto(), "It had braked for a vehicle that is not exported."
     STANDS_THROUGHOUT = auto(), "It stands from the first step to the last."
     ENTERS_ON_RED = auto(), "It would enter an intersection on red, or drive over a crossing that is used."
     BEHIND_PARKED = auto(), "It would wait behind a parked vehicle, round which a driver would go."

@@ -80,9 +80,6 @@ class Filling:
     events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
     _open: list[VehicleRequest] = field(default_factory=list)
-    _may_drive_again: dict[str, Start] = field(default_factory=dict)
-    """Of this round, by id: those driven for the first time, as they were asked for."""
-    _again: list[Start] = field(default_factory=list)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _turned_down: TurnedDown = field(default_factory=TurnedDown)
     _wanted: Wanted = field(init=False)
@@ -114,17 +111,13 @@ class Filling:
             starts, before = self._starts(number), len(self.kept)
             if starts or number == 0:
                 self.rounds = number + 1
-                self._may_drive_again = {
-                    start.vehicle_id: start for start in starts if start.vehicle_id not in self._may_drive_again
-                }
                 self._keep(drive(starts, self._kept_traffic, number))
             if not self._open:
                 break
             added = len(self.kept) - before
             idle = 0 if added else idle + 1
             is_over = self._manoeuvres_are_over(number)
-            driven_again = {start.request.number for start in self._again}
-            if (is_over or idle == _MOST_IDLE) and self._give_up_manoeuvres(driven_again):
+            if (is_over or idle == _MOST_IDLE) and self._give_up_manoeuvres():
                 idle = 0  # a vehicle that goes straight may find a place
             if idle == _MOST_IDLE:
                 break
@@ -192,7 +185,7 @@ class Filling:
         return found
 
     def _starts(self, number: int) -> list[Start]:
-        """Starts of a round: those driven again, then open requests, each of which keeps clear of those before it.
+        """Starts of a round for open requests, each of which keeps clear of those before it.
 
         A manoeuvre that finds no site is given up: its request goes straight, after all others.
         """
@@ -200,9 +193,7 @@ class Filling:
         here = self.surroundings
         guard = Guard(self.scene, self._kept_traffic, here.stop_lines)
         sites = InsertionSites(here, guard, rng, number, self._wanted, self._turned_down, self.kept)
-        starts = sites.starts.take(self._again)
-        self._again = []
-        used = {start.request.number for start in starts}
+        starts, used = list[Start](), set[int]()
         waiting = deque(sorted(self._open, key=lambda one: (BEHAVIOURS[one.policy].site_order, one.number)))
         failed, refused = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter)
         redrawn = False
@@ -269,10 +260,10 @@ class Filling:
         new, rejections = self._checked_round(vehicles)
         for one in rejections.values():
             self._last_reason[one.vehicle.start.request.number] = one.reason
-        self._drive_again(new, rejections)
+        self._reject_what_waited(new, rejections)
         if not self._manoeuvres_are_over(self.rounds - 1):
             new = self._reused_as_straight(new, rejections)
-            self._drive_again(new, rejections)
+            self._reject_what_waited(new, rejections)
         for one in rejections.values():
             self._note(one)
         kept_now = [vehicle for vehicle in new if vehicle.driven.vehicle_id not in rejections]
@@ -322,7 +313,7 @@ class Filling:
         """
         left = [one for one in new if one.driven.vehicle_id not in rejections]
         needed = set().union(*(_needs(one.driven, self.scene) for one in left))
-        met = {start.request.number for start in (*self._again, *(one.driven.start for one in left))}
+        met = {one.driven.start.request.number for one in left}
         straight = [r for r in self._open if r.policy is Policy.STRAIGHT and r.number not in met]
         found = {one.driven.vehicle_id: one for one in new}
         for one in sorted(left, key=lambda one: one.driven.vehicle_id not in needed):
@@ -340,8 +331,8 @@ class Filling:
                 rejections[driven.vehicle_id] = self._rejection(driven, Reason.DID_NOT_DO_IT, said)
         return list(found.values())
 
-    def _drive_again(self, new: list[ExportedVehicle], rejections: dict[str, Rejection]) -> None:
-        """Reject a vehicle that braked for a rejected one, or overtook it; the next round drives it again, but once."""
+    def _reject_what_waited(self, new: list[ExportedVehicle], rejections: dict[str, Rejection]) -> None:
+        """Reject a vehicle that braked for a rejected one, or overtook it."""
         changed = True
         while changed:
             changed = False
@@ -351,8 +342,6 @@ class Filling:
                     continue
                 rejections[driven.vehicle_id] = self._rejection(driven, Reason.WAITED_FOR_GONE)
                 changed = True
-                if driven.vehicle_id in self._may_drive_again:  # as asked for: where it entered it may have been slowed
-                    self._again.append(self._may_drive_again[driven.vehicle_id])
 
     def _site(self, vehicle: DrivenVehicle) -> Cell:
         """Cell that a vehicle started in."""

@@ -132,13 +132,8 @@ class Starts:
         """The same starts; those after them keep clear of them."""
         self.taken += starts
         if "collision" not in self.scene.config.without:
-            for start in starts:
-                rolled = self._rolled.pop(start, ())
-                if not rolled:
-                    parts: tuple[Rollout, ...] = (self.world.roll(start),)
-                    if BEHAVIOURS[start.request.policy].changes_lanes and self.scene.config.request.sites != "any":
-                        _, parts = self.world.roll_manoeuvre(start)  # others begin beside where it will be
-                    rolled = (self.world.rolled_out(start, parts),)
+            for start in starts:  # with `request.sites = any` none is rolled out before
+                rolled = self._rolled.pop(start, ()) or (self.world.rolled_out(start, (self.world.roll(start),)),)
                 self.world.choose(*rolled)
         return starts
 

@@ -76,9 +76,9 @@ def test_what_enters_and_what_the_focal_track_does_is_in_sidecar_manifest_and_ta
     made = generate(arterial, Config(request=request))
     row = summarise(made.sidecar, ManifestRow("arterial", "val", 0, 0, DONE, requested="3"))
     assert row.entered == sum(own.timesteps[0] > 0 for own in made.generated) == 1
-    print_batch([row, row._replace(focal="straight")], request)
+    print_batch([row._replace(rejected="pet (1)"), row._replace(focal="straight")], request)
     told = capsys.readouterr().out
     assert "3 of 3, 1 entered" in told
-    assert "candidates rejected: " in told
+    assert "candidates rejected: pet (1)" in told
     assert "\nentered: 2 of 4 that go straight\nfocal tracks that do a manoeuvre: 1 of 2\n" in told
     assert row.focal == "overtake"

@@ -18,7 +18,6 @@ from inserted import (
     road_scene,
     scene_on,
     sites_of,
-    start_on,
 )
 from scipy.stats import chisquare
 
@@ -65,16 +64,6 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     starts = [start for number in range(10) for start in sites.propose(request_of(number))]
     assert all(start.start_m > 75.0 for start in starts)
     assert sites.starts.refusals[Reason.TTC_RECORDED_FOLLOWER] > 0
-
-
-@pytest.mark.parametrize(("sites", "y"), [("promising", 3.5), ("any", 0.0)])
-def test_lane_changer_that_is_driven_again_is_known_on_its_way_across(sites: str, y: float) -> None:
-    """Alone at 9 m/s it has changed to lane 2 by the end; `any` looks no farther ahead than it follows its lane."""
-    scene = road_scene(sites=sites)
-    starts = sites_of(scene).starts
-    starts.take([start_on(scene, (1,), 60.0, 9.0, policy=Policy.LANE_CHANGE, sides=("left",))])
-    known = starts.world.guard.inserted_known.position[0, scene.num_steps - 1]
-    assert known[1] == pytest.approx(y, abs=0.3)
 
 
 def test_what_a_place_promises() -> None:
