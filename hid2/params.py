@@ -93,6 +93,8 @@ class Request(_Section):
             raise ValueError("the behaviour shares sum to 0, expected at least one above 0")
         if self.bus_share + self.truck_share > 1:
             raise ValueError("bus_share + truck_share is above 1")
+        if self.sites == "any" and self.is_near_agents:
+            raise ValueError(f"near {self.near!r} with sites 'any', which draws all alike, expected sites 'promising'")
         return self
 
     @property

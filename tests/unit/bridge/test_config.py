@@ -64,6 +64,7 @@ def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, 
     ('[[event]]\nkind = "lead"\nbrakes_mps2 = -3\n', "brakes_mps2 = -3, expected number >= 0, <= 4.05"),
     ("without = 'all'\n", "without = 'all'"), ("event = ['cut_in']\n", "event 1: 'cut_in', expected a table with kind"),
     ("[turn]\nleft_trough = 0.9\n", "must be above left_trough 0.9"),
+    ("[request]\nsites = 'any'\nnear = 'focal'\n", "near 'focal' with sites 'any'"),
 ])  # fmt: skip
 def test_a_file_that_is_wrong_is_named_with_key_value_and_range(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "c.toml"
