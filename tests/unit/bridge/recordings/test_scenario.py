@@ -60,7 +60,8 @@ def test_sizes_come_from_the_file_beside_and_else_from_the_type(copy_scene: Call
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("track_id,length_m\nAV,4.9\n", "width_m"),
+        ("track_id,length_m\nAV,4.9\n", "line 2: no width_m, expected one"),
+        ("track_id,length_m,width_m\nAV,4.9,2.0\nfocal,4.9\n", "line 3: no width_m, expected one"),
         ("track_id,length_m,width_m\nAV,long,2.0\n", "line 2: length_m 'long'"),
         ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "line 2: length_m .-4.9., expected greater than 0"),
     ],
