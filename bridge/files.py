@@ -128,7 +128,7 @@ def read_bounded(stream: IO[bytes] | gzip.GzipFile, path: Path, *, most_mb: int)
     """What is left of a stream, never more than so much of it. path: what errors name. Errors: OSError."""
     content = stream.read(most_mb * 1_000_000 + 1)
     if len(content) > most_mb * 1_000_000:
-        raise OSError(errno.EINVAL, f"larger than {most_mb} MB", str(path))
+        raise OSError(errno.EINVAL, f"holds more than {most_mb} MB", str(path))
     return content
 
 

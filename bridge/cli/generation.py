@@ -148,11 +148,14 @@ def generate(
         missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
+    from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
     from bridge.config import functions_of
 
     resolved = asked.resolved()
+    named = named_behaviours(resolved.request, by_option=asked.behaviours is not None)
+    selects = any((*which, named, resolved.event, resolved.request.is_near_agents))
     beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
-    how = running.batch.options(selects=any(which), resume=running.resume, memory_mb=running.scene_memory, **beside)
+    how = running.batch.options(selects=selects, resume=running.resume, memory_mb=running.scene_memory, **beside)
     activity.doing("looking for scenes")
     folders = recordings(scenes, choices, activity, generated=False)
     if written.formats:
@@ -161,13 +164,11 @@ def generate(
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
     from bridge.batch.batch import plan, run_batch
-    from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
 
     jobs_wanted = plan(folders, resolved)
     if not running.append:
         check_same_request(out, jobs_wanted[0].runs[0].config)
     activity.doing("looking at the first scenes")
-    named = named_behaviours(resolved.request, by_option=asked.behaviours is not None)
     check_request(folders, resolved, named, jobs=jobs)
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))

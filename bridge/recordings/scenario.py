@@ -357,8 +357,10 @@ def typed(kind: TypeAdapter[list[_Row]], rows: Sequence[Mapping[str, Any]], name
         first = error.errors(include_url=False)[0]
         row, column = first["loc"][:2]
         wanted = first["msg"].removeprefix("Input should be ")
-        have = f"no {column}" if first["type"] == "missing" else f"{column} {one_line(str(first['input']), most=60)!r}"
-        raise ScenarioError(f"{name} line {int(row) + 2}: {have}, expected {wanted}") from error
+        said = f"{column} {one_line(str(first['input']), most=60)!r}, expected {wanted}"
+        if first["type"] == "missing" or first["input"] is None:  # no such column, or a line that ends before it
+            said = f"no {column}, expected one"
+        raise ScenarioError(f"{name} line {int(row) + 2}: {said}") from error
 
 
 def check_size(name: str, *, rows: int, columns: int, unpacked_mb: float = 0.0) -> None:

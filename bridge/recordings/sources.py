@@ -255,8 +255,10 @@ def described(found: Sequence[Address]) -> list[str]:
 
 def names_in(folder: Path) -> frozenset[str]:
     """Names in a folder; none in a file. One that may not be read, as at the root of a disk, is logged: no scenes."""
+    if not folder.is_dir():
+        return frozenset()
     try:
-        return frozenset(entry.name for entry in folder.iterdir()) if folder.is_dir() else frozenset()
+        return frozenset(entry.name for entry in folder.iterdir())
     except OSError as error:
         _LOG.warning("%s: cannot be read (%s)", folder, error.strerror or error)
         return frozenset()

@@ -66,12 +66,13 @@ class EventOutcome:
 def scene_for(scene: Scene, event: Event) -> Scene:
     """The scene with the rules that an event is made by: the gap asked for counts, not the one that drivers like.
 
-    Critical values are lowered only where a criticality below them is asked for, and of the target alone when a vehicle
-    is judged beside others (`SceneEvents._judged`). Recorded traffic that crosses makes an
-    entrance red (`conflicts/signals.py`); where meeting it is what is asked for, it is red only while it crosses.
+    Critical values are lowered only where a criticality below them is asked for: here towards all agents, while the
+    vehicle is judged by those that hold for the target alone (`SceneEvents._judged`). Recorded traffic that crosses
+    makes an entrance red (`conflicts/signals.py`); where meeting it is what is asked for, only while it crosses.
     """
     config, conflict = scene.config, scene.config.conflict
-    names = {"follow": ("ttc_min_s",), "merge": ("ttc_min_s", "follower_ttc_min_s")}  # it is behind, or either
+    # the TTC of the vehicle where it follows, of the target where that does, of either where one of them merges
+    names = {"follow": ("ttc_min_s",), "merge": ("ttc_min_s", "follower_ttc_min_s")}
     asked = dict.fromkeys(names.get(event.kind, ("follower_ttc_min_s",)), event.ttc_s) | {"pet_min_s": event.pet_s}
     critical = {name: min(getattr(conflict, name), band[0]) for name, band in asked.items() if band is not None}
     update: dict[str, object] = {"conflict": conflict.model_copy(update=critical)}

@@ -132,7 +132,7 @@ class Starts:
         """The same starts; those after them keep clear of them."""
         self.taken += starts
         if "collision" not in self.scene.config.without:
-            for start in starts:  # with `request.sites = any` none is rolled out before
+            for start in starts:  # with `request.sites = any` no rollout was kept
                 rolled = self._rolled.pop(start, ()) or (self.world.rolled_out(start, (self.world.roll(start),)),)
                 self.world.choose(*rolled)
         return starts

@@ -207,12 +207,12 @@ def _shared_m2(traffic: Traffic, agents: list[int], length_m: list[float], width
 
 
 def ttc_on_driven_path(states: AgentStates, agent: int, led: PathLeaders, bounds: Bounds) -> Iterator[Finding]:
-    """The least TTC of a vehicle to anything that leads on the path that it drives."""
-    ttc_s, critical_s = led.ttc_s, bounds.conflict.ttc_min_s
-    if ttc_s.min(initial=np.inf) < critical_s:
-        k, step = np.unravel_index(int(np.argmin(ttc_s)), ttc_s.shape)
-        other = int(led.agents[k])
-        yield _finding(states, (agent, other), int(step), Quantity.TTC_LEADER, float(ttc_s[k, step]), critical_s)
+    """The least TTC of a vehicle to each agent that leads on the path that it drives."""
+    critical_s = bounds.conflict.ttc_min_s
+    for other, ttc_s in zip(led.agents.tolist(), led.ttc_s, strict=True):
+        step = int(np.argmin(ttc_s))
+        if ttc_s[step] < critical_s:
+            yield _finding(states, (agent, other), step, Quantity.TTC_LEADER, float(ttc_s[step]), critical_s)
 
 
 def of_end(states: AgentStates, agent: int, others: IntArray, bounds: Bounds) -> Iterator[Finding]:

@@ -271,7 +271,7 @@ WILD = (
     ("a = 0x" + "f" * 100_000, "an integer of more than 64 bit"),
     (f'a = "{"x" * 100_000}"', "expected"),
     (f"{'x' * 100_000} = 1", "expected"),
-    ("#" + "x" * 2_000_000, "larger than 1 MB"),
+    ("#" + "x" * 2_000_000, "holds more than 1 MB"),
 )
 
 

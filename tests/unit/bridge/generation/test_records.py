@@ -75,6 +75,9 @@ def test_what_enters_and_what_the_focal_track_does_is_in_sidecar_manifest_and_ta
     request = Request(agents=3, entering=1.0, focal="generated")
     made = generate(arterial, Config(request=request))
     row = summarise(made.sidecar, ManifestRow("arterial", "val", 0, 0, DONE, requested="3"))
+    told = made.sidecar.selection
+    failed = made.sidecar.model_copy(update={"selection": told.model_copy(update={"dropped": told.kept})})
+    assert (row.driven, summarise(failed, row).driven) == (3, 6)
     assert row.entered == sum(own.timesteps[0] > 0 for own in made.generated) == 1
     print_batch([row._replace(rejected="pet (1)"), row._replace(focal="straight")], request)
     told = capsys.readouterr().out

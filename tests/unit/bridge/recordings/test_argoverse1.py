@@ -181,6 +181,9 @@ def test_what_a_folder_holds_is_found_and_said(argoverse1: Path, data_scenes: di
     lines = described(found)
     assert lines[0] == "Argoverse 1 sequences: 9 found"
     assert "headings" in lines[1]
+    (tmp_path / "mixed" / "av1").rename(tmp_path / "mixed" / "argoverse1")
+    (tmp_path / "mixed" / "manifest.csv").touch()  # as beside those that hid2 writes for loaders
+    assert find_sources([tmp_path / "mixed"]) == [tmp_path / "mixed" / data_scenes["curve"].name]
 
 
 # What is wrong

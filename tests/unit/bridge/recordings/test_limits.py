@@ -106,7 +106,7 @@ def test_pipe_and_giant_are_refused_unread(copy_scene: Callable[..., Path], patt
     else:
         path.touch()
         os.truncate(path, 10**12)
-    refused(folder, "not a regular file" if what == "pipe" else f"larger than {MAX_FILE_MB} MB")
+    refused(folder, "not a regular file" if what == "pipe" else f"more than {MAX_FILE_MB} MB")
 
 
 def test_table_with_more_than_the_memory_holds_is_refused(

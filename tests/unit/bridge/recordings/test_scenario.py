@@ -53,6 +53,7 @@ def test_sizes_come_from_the_file_beside_and_else_from_the_type(copy_scene: Call
     (folder / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,4.9,2.0\n")
     scenario = read_scenario(folder)
     assert scenario.track("AV").size == (4.9, 2.0)
+    assert (scenario.provenance, read_scenario(copy_scene("curve")).provenance) == ("human", "tracker")
     bus = next(track for track in scenario.tracks if track.object_type == "bus")
     assert bus.size == DEFAULT_SIZES["bus"]
 
@@ -60,7 +61,8 @@ def test_sizes_come_from_the_file_beside_and_else_from_the_type(copy_scene: Call
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("track_id,length_m\nAV,4.9\n", "width_m"),
+        ("track_id,length_m\nAV,4.9\n", "line 2: no width_m, expected one"),
+        ("track_id,length_m,width_m\nAV,4.9,2.0\nfocal,4.9\n", "line 3: no width_m, expected one"),
         ("track_id,length_m,width_m\nAV,long,2.0\n", "line 2: length_m 'long'"),
         ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "line 2: length_m .-4.9., expected greater than 0"),
     ],
@@ -121,9 +123,10 @@ def test_a_folder_that_may_not_be_read_does_not_hide_the_scenes_beside_it(
     data_root: Path, data_scenes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
-    """Such as lost+found at the root of a disk."""
+    """Such as lost+found at the root of a disk; one that is hidden is not looked into."""
     root = tmp_path / "root"
     shutil.copytree(data_root, root)
+    shutil.copytree(data_root / "train", root / ".trash")
     (root / "lost+found").mkdir()
     iterdir = Path.iterdir
 

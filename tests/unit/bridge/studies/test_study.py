@@ -30,7 +30,7 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (gzip.compress(bytes(40_000_000), mtime=0), "larger than 32 MB"),
+        (gzip.compress(bytes(40_000_000), mtime=0), "holds more than 32 MB"),
         (b"no gzip", "gzip"),
         (gzip.compress(b'{"requests": [], "flow": []}', mtime=0)[:-9], "gzip"),
         (gzip.compress(b"[" * 5_000, mtime=0), "run of a study"),

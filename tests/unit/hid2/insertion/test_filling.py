@@ -116,13 +116,21 @@ def test_who_cannot_enter_is_replaced_and_its_lane_stays_open() -> None:
     assert [one.span.stop for one in filling.kept] == [110, 110]
 
 
-def test_places_that_failed_are_tried_again_where_no_other_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All vehicles of the first round fail, perhaps because of each other: as no other place is left, all are open."""
+def test_cells_are_looked_at_anew_where_no_other_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first cell of each lane that is looked at admits none, and all of the lane is near to it."""
+    make, refused = Starts.make, set[tuple[int, ...]]()
+
+    def refuse_first(starts: Starts, request: VehicleRequest, site: Site, **wants: Any) -> Start | Reason:
+        if site.offer.route in refused:
+            return make(starts, request, site, **wants)
+        refused.add(site.offer.route)
+        return Reason.CONFLICT_PREDICTED
+
     monkeypatch.setattr("hid2.insertion.sites._AVOIDED_M", 600.0)
-    filling, drive = _fill(scene_for(), _refusing("v0_0", "v1_0", "v2_0", "v3_0"))
-    assert {start.route[0] for start in drive.rounds[0]} == {1, 2}  # both lanes are avoided, whole
-    assert len(filling.kept) == 4
-    assert filling.rounds == 2
+    monkeypatch.setattr("hid2.insertion.starts.Starts.make", refuse_first)
+    filling, drive = _fill(scene_for())
+    assert len(refused) == 2
+    assert len(filling.kept) == len(drive.rounds[0]) == 4
 
 
 def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_to_go_straight() -> None:
@@ -287,13 +295,13 @@ def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once() -> None:
 
 
 def test_what_braked_for_a_vehicle_that_is_gone_goes_too() -> None:
-    """V0 fails; v1 had braked for it, v2 for v1: all three requests are met anew. v3 stays."""
+    """V0 fails; v2 had braked for it, v1 for v2: all three requests are met anew. v3 stays."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0:
             if vehicle.vehicle_id == "v0_0":
                 vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
-            vehicle.waited_for[{"v1_0": "v0_0", "v2_0": "v1_0"}.get(vehicle.vehicle_id, "")] = BRAKES
+            vehicle.waited_for[{"v2_0": "v0_0", "v1_0": "v2_0"}.get(vehicle.vehicle_id, "")] = BRAKES
         return vehicle
 
     filling, drive = _fill(scene_for(), spoil, seed=1)
@@ -303,6 +311,20 @@ def test_what_braked_for_a_vehicle_that_is_gone_goes_too() -> None:
     assert {start.vehicle_id for start in drive.rounds[1]} == {"v0_1", "v1_1", "v2_1"}
     assert drive.kept_before == [0, 1]
     assert len(filling.kept) == 4
+
+
+def test_what_braked_for_one_that_did_not_do_its_manoeuvre_goes_too() -> None:
+    """Neither lane change of v2 and v3 comes about, and all requests to go straight are met; v1 had braked for v2."""
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if vehicle.vehicle_id == "v1_0":
+            vehicle.waited_for["v2_0"] = BRAKES
+        return vehicle
+
+    filling, _ = _fill(scene_for(**HALF), spoil)
+    assert {one.vehicle.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0} == {
+        "v1_0": Reason.WAITED_FOR_GONE, "v2_0": Reason.DID_NOT_DO_IT, "v3_0": Reason.DID_NOT_DO_IT,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(3))

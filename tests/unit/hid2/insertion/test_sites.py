@@ -18,12 +18,13 @@ from inserted import (
     road_scene,
     scene_on,
     sites_of,
+    start_on,
 )
 from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
 from hid2.insertion.rollout import World
-from hid2.insertion.sites import InsertionSites
+from hid2.insertion.sites import InsertionSites, TurnedDown
 from hid2.insertion.situations import Situation
 from hid2.insertion.starts import Site
 from hid2.insertion.surroundings import Surroundings
@@ -32,6 +33,7 @@ from hid2.params import Config, LaneChange, Request, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
+from netconvert.cells import Cell
 
 
 def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
@@ -64,6 +66,30 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     starts = [start for number in range(10) for start in sites.propose(request_of(number))]
     assert all(start.start_m > 75.0 for start in starts)
     assert sites.starts.refusals[Reason.TTC_RECORDED_FOLLOWER] > 0
+
+
+def test_start_at_any_site_is_known_to_those_after_it() -> None:
+    """No rollout of it was kept. From 9 to 10 m/s it comes from 60 m to 60 + 9.9 * 10.9 = 168 m."""
+    scene = road_scene(sites="any")
+    starts = sites_of(scene).starts
+    starts.take([start_on(scene, (1,), 60.0, 9.0)])
+    known = starts.world.guard.inserted_known.position[0, scene.num_steps - 1]
+    assert known == pytest.approx((168.0, 0.0), abs=2.0)
+
+
+def test_cell_from_which_none_could_go_straight_speaks_for_those_near_until_few_are_left() -> None:
+    """Within 8 m, and of its lane alone. For a manoeuvre all cells are looked at again."""
+    scene, down = road_scene(), TurnedDown()
+    row, reach = scene.grid.index_of[Cell(2, 1)], int(8.0 / scene.config.grid.cell_m)
+    down.cannot_go_straight(scene, row)
+    assert down.straight == {*range(row - 1, row + reach + 1)}
+    down.look_anew()
+    down.cannot_go_straight(scene, row)
+    assert down.straight == {row}
+    sites = sites_of(scene)
+    sites.turned_down.straight.update(range(len(scene.grid.cells)))
+    assert sites.propose(request_of()) == []
+    assert len(sites.propose(request_of(policy=Policy.LANE_CHANGE))) == 1
 
 
 def test_what_a_place_promises() -> None:

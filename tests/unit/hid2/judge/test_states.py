@@ -154,6 +154,15 @@ def test_time_to_collision_with_a_leader_of_any_type(kind: str, gap: float, foun
     assert len([one for one in seen if one[1] is Quantity.TTC_LEADER]) == found
 
 
+def test_every_leader_on_the_path_is_told() -> None:
+    """At the end a at 8 m/s is 2.8 m ahead, 1.4 s; b at 4 m/s, which it has passed through, 2.1 m, .35 s.
+
+    Before, when a is the nearer one on the lane, its TTC is 1.6 s and more.
+    """
+    seen = judged(_at("a", 39.1, 8.0), _at("b", 62.0, 4.0), _at("gen_0", 20.0, 10.0))
+    assert {one[2] for one in seen if one[1] is Quantity.TTC_LEADER} == {"a", "b"}
+
+
 def test_leader_in_the_lane_that_is_left_counts_until_it_is_left() -> None:
     """A car at 10 m/s moves out at 1 m/s behind one that stands 30 m ahead.
 
