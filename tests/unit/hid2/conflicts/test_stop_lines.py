@@ -61,7 +61,7 @@ def test_entrance_is_closed_while_recorded_traffic_flows_across() -> None:
 def test_driver_brakes_as_the_red_line_asks_for() -> None:
     """From 26.75 m before it at 10 m/s 10^2 / (2 * 26.75) = 1.87 m/s2 would do, of the comfortable 2: .98 times that.
 
-    At 11 m/s 2.26 m/s2, and 1.22 times as much; at 9 m/s 1.51 m/s2, and .77 times as much, as it has begun just now.
+    At 11 m/s 2.26 m/s2 and 1.22 times as much; at 9 m/s 1.51 m/s2, and .77 times as much, as it has begun just now.
     """
     for speed_mps, ratio in ((11.0, 1.2171), (10.0, 0.9813), (9.0, 0.7684)):
         found = brake(CROSSING, s=30.0, v=speed_mps, step=40)
