@@ -3,21 +3,18 @@
 import pickle
 import random
 from dataclasses import replace
-from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from bridge.evaluation.scene_metrics import PAIR_KINDS, _pair_row, measure_folder
+from bridge.evaluation.scene_metrics import measure_folder
 from bridge.evaluation.totals import Diversity, ManeuverCounts, Samples, SourceSums, Totals
 from bridge.pages.charts import diversity_figure
 from hid2.agents import Policy
-from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED, TAILS, quantiles
-from hid2.evaluation.safety import Overlap
+from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED
 from hid2.evaluation.windows import WINDOW
 from hid2.measures.manoeuvres import ManeuverKind
-from hid2.measures.surrogates import Encroachment
 
 COLUMNS = ("hits", "rows")
 
@@ -148,33 +145,3 @@ def test_bars_of_the_diversity_figure_agree_with_the_shares_above():
     assert edges[np.flatnonzero(before)].tolist() == [20]
     assert edges[np.flatnonzero(after)].tolist() == [40]
     assert found["density"]["tracks"]["share_above"]["40"] == {"before": 0.0, "after": 1.0}
-
-
-def test_reasons_findings_and_tails_are_those_of_the_scenes(measured):
-    """Two scenes: 3 + 3 candidates were turned down, one finding each; tails of two times the same are the same."""
-    events = [{"kind": "lead", "status": status} for status in ("done", "not_feasible", "done")]
-    told = {"rejected": {"pet": 3}, "findings": {"pet": 1}}
-    spoiled = replace(measured, tables={**measured.tables, "scenes": [measured.scene | told], "events": events})
-    totals = Totals()
-    for number in range(2):
-        totals.add(named(spoiled, number, sources=2))
-    found = totals.content()
-    assert found["requests"]["rejected"] == {"pet": 6}
-    assert found["events"] == {"lead": {"done": 4, "not_feasible": 2}}
-    assert {name: one["findings"] for name, one in found["judge"].items()} == {"pet": 2}
-    tails = {one["feature"]: one for one in found["realism"]["tails"]}
-    (feature,) = (one for one in FEATURES if one.name in TAILS[:1])
-    for kind, row in (("generated", GENERATED), ("recorded", RECORDED)):
-        own = quantiles(feature, measured.realism.of(feature)[row], tails[feature.name]["shares"])
-        assert tails[feature.name][kind] == own is not None
-
-
-def test_pairs_are_counted_by_the_groups_of_the_two():
-    """Two recorded vehicles, a recorded pedestrian, two inserted vehicles; two pairs hardly touch, a PET is 3 s."""
-    overlaps = [Overlap(0, 1, 0.5), Overlap(0, 2, 0.5), Overlap(0, 3, 0.01), Overlap(2, 3, 0.5), Overlap(3, 4, 0.01)]
-    crossings = [Encroachment(1, 3, 0.5, (1, 2)), Encroachment(1, 4, 3.0, (1, 2))]
-    arrays = SimpleNamespace(generated=np.arange(5) > 2, vehicle=np.arange(5) != 2)
-    found = _pair_row(SimpleNamespace(overlaps=overlaps, encroachments=crossings), arrays)
-    assert [found[f"{kind}_original_original"] for kind in PAIR_KINDS] == [1, 2, 2, 0, 0]
-    assert [found[f"{kind}_generated_original"] for kind in PAIR_KINDS] == [0, 1, 2, 2, 1]
-    assert [found[f"{kind}_generated_generated"] for kind in PAIR_KINDS] == [0, 0, 1, 0, 0]
