@@ -62,7 +62,9 @@ def evaluate_folder(
                 continue
             measures: SceneMeasures = pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
             take(measures)
-            for name, rows in measures.tables.items() if take == totals.add else ():
+            if take != totals.add:  # tables are of the scenes themselves
+                continue
+            for name, rows in measures.tables.items():
                 if name not in tables:  # no folder is made where no scene can be measured
                     stream = stack.enter_context(table_file(report_dir / f"{name}.csv"))
                     tables[name] = stream, TABLES[name] or [*rows[0]]

@@ -215,8 +215,9 @@ def resimulate_folders(
     failures += failed
     some = [scene for scene in scenes if scene.driven]
     if len(some) < 2:
-        left = Counter(why for scene in scenes for why in scene.left.values()).most_common(1)
-        said = "".join(f"; {at}: {why}" for at, why in [*failures[:1], *((f"{n} vehicles", why) for why, n in left)])
+        left = Counter(why for scene in scenes for why in scene.left.values())
+        told = [*failures[:1], *((f"{number} vehicles", why) for why, number in left.most_common(1))]
+        said = "".join(f"; {what}: {why}" for what, why in told)
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
         others = [[part[:, :, : LAST + 1] for part in one.recorded] for one in some if one is not scene]

@@ -145,9 +145,9 @@ def dose_response(
             if unit == "runs" and not isinstance(values[0], str):
                 whole_slope, slopes, apart = (_slopes(values, part) for part in (whole[None], draws, alone))
                 trend, low, high = interval(float(whole_slope[0]), slopes)
-                told = {"trend": trend, "trend_low": low, "trend_high": high, "p": few_clusters_p(apart)}
-                for row in own if trend is not None else ():
-                    row |= told
+                if trend is not None:
+                    told = {"trend": trend, "trend_low": low, "trend_high": high, "p": few_clusters_p(apart)}
+                    own = [row | told for row in own]
             for place, row in enumerate(own):
                 row["estimate"], row[f"low_{unit}"], row[f"high_{unit}"] = interval(whole[place], draws[:, place])
                 row["difference"], *ends = interval(whole[place] - whole[0], draws[:, place] - draws[:, 0])

@@ -39,8 +39,7 @@ def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(proc
 @pytest.mark.parametrize(("fault", "kind", "words"), [
     ("segfault", "crashed", "SIGSEGV"), ("sumo", "crashed", "SIGSEGV"), ("killed", "killed", "SIGKILL"),
     ("exit", "crashed", "status 3"), ("hang", "timeout", "5 s"), ("deep", "timeout", "5 s"),
-    ("signal", "crashed", "(signal 40)"),
-    ("raise", "exception", "RuntimeError: fault raise"),
+    ("signal", "crashed", "(signal 40)"), ("raise", "exception", "RuntimeError: fault raise"),
     ("memory", "memory", "more memory than the 4000 MB a scene may take (hid2 generate --scene-memory)"),
     ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
 ])  # fmt: skip

@@ -158,8 +158,7 @@ def test_drivers_of_a_file_are_flags_of_their_section(tmp_path: Path) -> None:
     ("[drivers]\noffset_sd_m = 4.0\n", "drivers.offset_sd_m = 4.0, expected"),
     ("[drivers]\noffset = 0.4\n", "unknown key 'drivers.offset'"),
     ("[drivers]\n[request]\nagents = 3\n", "section or key request, expected [drivers] alone"),
-    ("", "no section [drivers]"),
-    ("[drivers", "not TOML"),
+    ("", "no section [drivers]"), ("[drivers", "not TOML"),
 ])  # fmt: skip
 def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "drivers.toml"

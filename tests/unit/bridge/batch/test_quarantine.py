@@ -59,13 +59,6 @@ def test_pipes_giants_and_hidden_files_of_a_scene_are_left_out_and_named(scene: 
     assert sorted(path.name for path in held) == ["a", "b", "scenario_x.parquet"]
 
 
-def test_no_more_files_of_a_scene_are_packed_than_a_bundle_may_hold(scene: Path, tmp_path: Path) -> None:
-    for number in range(MAX_MEMBERS):
-        (scene / f"{number}").touch()
-    write_bundle(bundle_of(scene), tmp_path / "b.zip")
-    assert len([*read_bundle(tmp_path / "b.zip", tmp_path / "into").folder.iterdir()]) == MAX_MEMBERS - 3
-
-
 def craft(path: Path, files: dict[str, bytes], *, compression: int = zipfile.ZIP_DEFLATED) -> Path:
     path.write_bytes(zipped(files, compression=compression))
     return path

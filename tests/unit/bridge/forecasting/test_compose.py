@@ -17,7 +17,7 @@ from bridge.cli import measuring
 from bridge.console import Activity
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, composition_of_sources
-from bridge.forecasting.places import Leak, SourceScene, groups_of, leaks_between, split_by_place
+from bridge.forecasting.places import SourceScene, groups_of, split_by_place
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_scenarios
 from bridge.toml import model_of, read_toml_as
@@ -348,8 +348,3 @@ def test_a_file_and_the_command_line_say_the_same(data_root, generated, tmp_path
     with pytest.raises(ConfigError, match="no scene in any data set, expected one at least"):
         compose(composition_of_sources([f"{data_root}:0.1"]), tmp_path / "a tenth of three")
     assert json.loads((tmp_path / "a" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}
-
-
-def test_a_leak_names_the_first_of_those_held_out_that_it_leads_to():
-    facts = [fact(name, log="one", cells=(k,)) for k, name in enumerate("abc")]
-    assert leaks_between(facts, [2], [0, 1]) == [Leak(Path("c"), Path("a"), "cut from the same log one as")]

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from written import edit_json, edit_rows, in_cell, in_first_lane, write_fake
 from bridge.batch.validation import validate_folder
 from bridge.config import load_config
 from bridge.generation.generate import generate
-from bridge.recordings.judging import _allowed
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_scenarios
 from hid2.judge.findings import Quantity
@@ -106,20 +104,6 @@ def test_a_spoiled_row_is_found(written: Path, change: Change, rule: str) -> Non
     """The first few stand for the rules of rows, which readers ask, too: all of them are in test_scenario.py."""
     edit_rows(written, change)
     assert rule in rules(written)
-
-
-def test_a_criticality_is_allowed_to_its_event_and_its_target_alone() -> None:
-    """Three events, of which one did not come about; the gap that a vehicle leaves to its target is never too small."""
-    asked = [{"kind": "lead", "count": 2, "ttc_s": [0.3, 1.4]}, {"kind": "cross", "pet_s": [0.1, 1.0]}]
-    made = [
-        SimpleNamespace(track_id=own, target_track_id=other) for own, other in (("a", "7"), (None, None), ("b", "8"))
-    ]
-    allowed = _allowed(SimpleNamespace(config={"event": asked}, events=made))  # type: ignore[arg-type]
-    gap = dict.fromkeys((Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING), -np.inf)
-    lead = gap | dict.fromkeys((Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), 0.3)
-    assert allowed == {("a", "7", one): least for one, least in lead.items()} | {
-        ("b", "8", one): least for one, least in (gap | {Quantity.PET: 0.1}).items()
-    }
 
 
 def test_an_index_that_is_no_range_from_zero_is_found(written: Path) -> None:

@@ -313,20 +313,6 @@ def test_what_braked_for_a_vehicle_that_is_gone_goes_too() -> None:
     assert len(filling.kept) == 4
 
 
-def test_what_braked_for_one_that_did_not_do_its_manoeuvre_goes_too() -> None:
-    """Neither lane change of v2 and v3 comes about, and all requests to go straight are met; v1 had braked for v2."""
-
-    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
-        if vehicle.vehicle_id == "v1_0":
-            vehicle.waited_for["v2_0"] = BRAKES
-        return vehicle
-
-    filling, _ = _fill(scene_for(**HALF), spoil)
-    assert {one.vehicle.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0} == {
-        "v1_0": Reason.WAITED_FOR_GONE, "v2_0": Reason.DID_NOT_DO_IT, "v3_0": Reason.DID_NOT_DO_IT,
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int) -> None:
     """Half lane changes, which succeed only in the second round, beside spare ones that are there in the first.

@@ -24,7 +24,7 @@ from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
 from hid2.insertion.rollout import World
-from hid2.insertion.sites import InsertionSites, TurnedDown
+from hid2.insertion.sites import InsertionSites
 from hid2.insertion.situations import Situation
 from hid2.insertion.starts import Site
 from hid2.insertion.surroundings import Surroundings
@@ -33,7 +33,6 @@ from hid2.params import Config, LaneChange, Request, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
-from netconvert.cells import Cell
 
 
 def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
@@ -75,21 +74,6 @@ def test_start_at_any_site_is_known_to_those_after_it() -> None:
     starts.take([start_on(scene, (1,), 60.0, 9.0)])
     known = starts.world.guard.inserted_known.position[0, scene.num_steps - 1]
     assert known == pytest.approx((168.0, 0.0), abs=2.0)
-
-
-def test_cell_from_which_none_could_go_straight_speaks_for_those_near_until_few_are_left() -> None:
-    """Within 8 m, and of its lane alone. For a manoeuvre all cells are looked at again."""
-    scene, down = road_scene(), TurnedDown()
-    row, reach = scene.grid.index_of[Cell(2, 1)], int(8.0 / scene.config.grid.cell_m)
-    down.cannot_go_straight(scene, row)
-    assert down.straight == {*range(row - 1, row + reach + 1)}
-    down.look_anew()
-    down.cannot_go_straight(scene, row)
-    assert down.straight == {row}
-    sites = sites_of(scene)
-    sites.turned_down.straight.update(range(len(scene.grid.cells)))
-    assert sites.propose(request_of()) == []
-    assert len(sites.propose(request_of(policy=Policy.LANE_CHANGE))) == 1
 
 
 def test_what_a_place_promises() -> None:

@@ -15,7 +15,7 @@ from views import lane_view
 from hid2.agents import Policy
 from hid2.evaluation.metrics import policies
 from hid2.measures.arrays import stack
-from hid2.measures.manoeuvres import ManeuverKind, _edge, detect, lateral_speed
+from hid2.measures.manoeuvres import ManeuverKind, detect, lateral_speed
 from netconvert.lane_graph import LaneGraph
 
 TIME = 0.1 * np.arange(110)
@@ -199,21 +199,3 @@ def test_lateral_speed_is_savitzkys_and_golays(steps):
     values = np.random.default_rng(0).normal(size=steps).cumsum()
     expected = savgol_filter(values, 11, 2, deriv=1, delta=0.1)
     assert lateral_speed(values, 0.1 * np.arange(steps)) == pytest.approx(expected, abs=1e-9)
-
-
-@pytest.mark.parametrize(("slope", "unknown", "every_s", "found"), [
-    ([0.5, 0.3, 0.05, 0.0], None, 0.1, (2, True)),
-    ([0.05, 0.3, 0.05, 0.0], None, 0.1, (2, True)),  # not where it begins
-    ([0.5, 0.3, 0.3, 0.05], None, 0.1, (3, False)),  # the last row tells of none behind it
-    ([0.5, 0.3, 0.05, 0.0], 2, 0.1, (1, False)),
-    ([0.5, 0.3, 0.3, 0.05, 0.0], None, 2.5, (2, False)),  # LONGEST_HALF_S is 6 s
-])  # fmt: skip
-@pytest.mark.parametrize("direction", [1, -1])
-def test_change_ends_where_the_lateral_speed_falls_below_the_threshold(slope, unknown, every_s, found, direction):
-    """Forwards from the first row, and the same backwards from the last."""
-    slope = np.array(slope)[::direction]
-    known = np.arange(slope.size)[::direction] != (-1 if unknown is None else unknown)
-    last = slope.size - 1
-    first = 0 if direction > 0 else last
-    row, ended = _edge(slope, known, first, direction, every_s * np.arange(slope.size))
-    assert (row if direction > 0 else last - row, ended) == found
