@@ -142,7 +142,7 @@ def test_exported_way_is_the_simulated_one(scenes: list[TrafficScene]) -> None:
 def test_many_seeds_and_densities_break_no_rule(
     agents: int, least: int, share: float, real_scenes: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Seeds 0 to 9 of all scenes: 10 of 10 in two thirds, 18 of 20 in half; 00a0ec58 is full with 5, 0a1e6f0a with 9."""
+    """Seeds 0 to 9 of all scenes: 10 of 10 in two thirds, 18 of 20 in half; 00a0ec58 is full with 5, 0a1e6f0a 9."""
     broken: list[str] = []
     placed: list[int] = []
     for folder in real_scenes:
