@@ -75,8 +75,8 @@ MUTANTS = {
         "ttc_s < 0.5 * bounds.conflict.end_ttc_min_s:", (f"{UNIT}/judge/test_states.py",),
     ),
     "critical TTC: four fifths are enough": Mutant(
-        "hid2/judge/states.py", "if ttc_s[step] < critical_s:", "if ttc_s[step] < 0.8 * critical_s:",
-        (f"{UNIT}/insertion/test_finalise.py",),
+        "hid2/judge/states.py", "critical_s = bounds.conflict.ttc_min_s\n    for other, ttc_s",
+        "critical_s = 0.8 * bounds.conflict.ttc_min_s\n    for other, ttc_s", (f"{UNIT}/insertion/test_finalise.py",),
     ),
     "critical PET: four fifths are enough": Mutant(
         "hid2/judge/states.py", "arrays, critical_s = states.arrays, bounds.conflict.pet_min_s",
