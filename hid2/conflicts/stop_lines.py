@@ -11,6 +11,7 @@ import shapely
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.signals import InferredSignals
 from hid2.drivers.driver import Driver
+from hid2.kernels.guard import ROLLS_UP_SHARE
 from hid2.kernels.steering import CAUSES
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -164,7 +165,7 @@ class ClosedLines:
 
     def towards_mps(self, driver: Driver, room_m: float) -> float:
         """Fastest speed, m/s, from which a driver brakes as usual to stand at a line."""
-        return math.sqrt(2.0 * driver.decel_mps2 * room_m)
+        return math.sqrt(2.0 * ROLLS_UP_SHARE * driver.decel_mps2 * room_m)
 
     def is_passed(self, s: FloatArray, driver: Driver, *, first: int, closed_steps: int) -> bool:
         """Whether a driver's motion (K,) m from a step on passes a line that has been closed for so many steps."""

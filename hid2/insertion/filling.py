@@ -353,6 +353,9 @@ class Filling:
     def _note(self, one: Rejection) -> None:
         self._tell(one.vehicle, one.cell, one.reason, one.detail)
         self.rejected.append(one)
+        place_failed = one.reason not in (Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
+        if place_failed and one.vehicle.start.step == 0 and self.scene.config.request.sites == "promising":
+            self._turned_down.not_kept(self.scene, self.scene.grid.index_of[one.cell])
 
     def _tell(self, vehicle: DrivenVehicle, cell: Cell, verdict: str, detail: str | None) -> None:
         """What became of a vehicle that was driven, as a line of the debug log."""

@@ -28,7 +28,7 @@ from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Distance up to which none is tried near a vehicle that could not begin, m. Not a parameter, it saves time.
+#: Distance up to which none is tried near a vehicle that could not begin or be kept, m. Not a parameter, it saves time.
 _AVOIDED_M = 8.0
 #: Time headway left to recorded followers at sites tried first, s: most keep it among themselves (36 of 39 in fourteen
 #: scenes). No tunable: `request.sites = any` draws without it.
@@ -61,26 +61,41 @@ _BESIDE_M = 1.0  # tolerance of where a lane beside begins and ends, m: places c
 
 @dataclass(slots=True)
 class TurnedDown:
-    """Rows of the cells from which none could go straight.
+    """What is known to fail, as rows of cells: from which none could go straight, and near to which none was kept.
 
     Whether a manoeuvre comes about is a matter of metres and of the driver: cells are looked at for it again.
     each_cell: one that could not go straight speaks for its cell alone, as where few places are left.
     """
 
     straight: set[int] = field(default_factory=set)
+    near_failed: set[int] = field(default_factory=set)
     each_cell: bool = False
+
+    def rows(self, policy: Policy) -> set[int]:
+        """Rows of the cells that are left out for vehicles of a policy."""
+        return self.near_failed | self.straight if policy is Policy.STRAIGHT else self.near_failed
 
     def look_anew(self) -> None:
         """Nothing is known to fail any more, and few places are left."""
         self.straight.clear()
+        self.near_failed.clear()
         self.each_cell = True
 
     def cannot_go_straight(self, scene: Scene, row: int) -> None:
         """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near."""
-        grid, reach = scene.grid, 0 if self.each_cell else int(_AVOIDED_M / scene.config.grid.cell_m)
-        lane_id = grid.cells[row].lane_id
-        first = grid.index_of[Cell(lane_id, 0)]
-        self.straight.update(range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1)))
+        self.straight.update((row,) if self.each_cell else _around(scene, row))
+
+    def not_kept(self, scene: Scene, row: int) -> None:
+        """A vehicle that began on a cell could not be kept: none begins near to it."""
+        self.near_failed.update(_around(scene, row))
+
+
+def _around(scene: Scene, row: int) -> range:
+    """Rows of the cells of a lane within _AVOIDED_M of a cell."""
+    config, grid = scene.config, scene.grid
+    lane_id = grid.cells[row].lane_id
+    reach, first = int(_AVOIDED_M / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
+    return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
 
 
 @dataclass(slots=True)
@@ -231,7 +246,7 @@ class InsertionSites:
         order = order[np.lexsort((tier[order], inside[order]))]
         if promising and not inside.all():
             order = order[~inside[order]]
-        turned_down = self.turned_down.straight if promising and policy is Policy.STRAIGHT else set[int]()
+        turned_down = self.turned_down.rows(policy) if promising else set[int]()
         for place in order[clear[order]].tolist():
             row = int(rows[place])
             if row in turned_down:

@@ -17,7 +17,8 @@ _LINES_WITHIN_M = 60.0  # look-ahead for closed stop lines, m: those farther off
 _AMBER_RATIO = 1.3  # braking, over the driver's deceleration, above which a closed line is crossed, as at amber
 _ROLLS_MPS = 0.1  # least speed by which it is told which of two vehicles comes first, m/s: of two that stand the nearer
 SWEPT_STEP_M = 1.0  # spacing of the places along generated vehicles' ways at which what they sweep is known, m
-_TAKES_UP_S = 0.5  # time to take up the speed with which a driver rolls up to a line, s; no tunable
+#: Share of its deceleration at which a driver rolls up to a line; time to take up the speed for that, s. No tunables.
+ROLLS_UP_SHARE, _TAKES_UP_S = 0.6, 0.5
 _PASSED_M = 0.3  # tolerance: distance beyond a stop line above which it is passed; no tunable
 #: Stopping at a line, never at a constant deceleration: it builds up and eases. Ratio of needed to usual braking at
 #: which a driver begins, and of its own braking to the needed one then; rise of the second ratio for each usual braking
@@ -44,10 +45,11 @@ def _accel_towards_stop(ahead_m: float, speed_mps: float, accel_mps2: float, dec
     if ahead_m <= 0.1:
         return -decel_mps2
     needed = speed_mps * speed_mps / (2.0 * ahead_m)
-    if needed < _BEGINS * decel_mps2:
-        reach: float = np.sqrt(2.0 * _BEGINS * decel_mps2 * ahead_m)  # from which so little braking ends at the line
+    usual = ROLLS_UP_SHARE * decel_mps2
+    if needed < _BEGINS * usual:
+        reach: float = np.sqrt(2.0 * _BEGINS * usual * ahead_m)  # from which so little braking ends at the line
         return min(accel_mps2, (reach - speed_mps) / _TAKES_UP_S)
-    builds_up = min(_BEGINS + _BUILDS_UP * (needed / decel_mps2 - _BEGINS), _AT_MOST)
+    builds_up = min(_BEGINS + _BUILDS_UP * (needed / usual - _BEGINS), _AT_MOST)
     return -needed * (builds_up + _EASES * max(0.0, 1.0 - speed_mps / _EASES_BELOW_MPS))
 
 

@@ -116,7 +116,7 @@ def test_ten_asked_for_are_ten_placed_every_request_has_its_record_and_algorithm
         assert named <= REASONS
         assert all(agent.maneuvers for agent in sidecar.agents if agent.policy is not Policy.STRAIGHT)
     assert min(dense, default=4) >= 4, dense
-    assert sum(placed) >= 0.96 * 10 * len(placed), placed
+    assert sum(placed) >= 0.98 * 10 * len(placed), placed
 
 
 def test_lanes_that_a_record_tells_are_those_of_its_manoeuvre(real_scenes: list[Path]) -> None:
@@ -138,11 +138,11 @@ def test_exported_way_is_the_simulated_one(scenes: list[TrafficScene]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize(("agents", "least", "share"), [(10, 10, 0.65), (20, 18, 0.5)])
+@pytest.mark.parametrize(("agents", "least", "share"), [(10, 10, 0.75), (20, 18, 0.5)])
 def test_many_seeds_and_densities_break_no_rule(
     agents: int, least: int, share: float, real_scenes: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Seeds 0 to 9 of all scenes: 10 of 10 in two thirds, 18 of 20 in half; 00a0ec58 is full with 5, 0a1e6f0a 9."""
+    """Seeds 0 to 9 of all scenes: 10 of 10 in three quarters, 18 of 20 in half; a sixth, 00a0ec58, is full with 5."""
     broken: list[str] = []
     placed: list[int] = []
     for folder in real_scenes:
@@ -237,8 +237,7 @@ def test_checker_of_states_finds_what_is_planted(data_scenes: dict[str, Path]) -
 def test_what_a_rollout_foresees_comes_about(scenes: list[TrafficScene]) -> None:
     """Of vehicles foreseen to follow, brake for or stand, and of those that do: at least 75, 60 and 75 % are the same.
 
-    Found with six seeds of fourteen scenes: 187 of 200 foreseen and 190 seen, 111 of 146 and 116, 183 of 186 and 185.
-    Two scenes have few: one more may fail.
+    Found with six seeds of fourteen scenes: 198 of 210 foreseen and 201 seen, 104 of 134 and 113, 172 of 178 and 177.
     """
     foreseen, seen, both = Counter[Situation](), Counter[Situation](), Counter[Situation]()
     for scene in scenes:
@@ -253,4 +252,4 @@ def test_what_a_rollout_foresees_comes_about(scenes: list[TrafficScene]) -> None
     print(foreseen, seen, both)
     for one, least in ((Situation.FOLLOWS, 0.75), (Situation.BRAKES, 0.6), (Situation.STANDS, 0.75)):
         assert seen[one] >= 0.5 * len(scenes)
-        assert both[one] + 1 >= least * max(foreseen[one], seen[one]), (one, foreseen[one], seen[one], both[one])
+        assert both[one] >= least * max(foreseen[one], seen[one]), (one, foreseen[one], seen[one], both[one])
