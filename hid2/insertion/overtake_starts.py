@@ -41,9 +41,10 @@ _DRIVERS = 6  # drivers drawn for each way
 _GAPS = 6  # gaps drawn for each pair of leader and driver
 _WANDERS = 48  # wanderings of the desired speed drawn for a request
 _ROLLED_OUT = 24  # overtakes rolled out for a request, at most
-# No tunables, to _GAP_S: bounds of what is drawn.
+# No tunables, to _HURRIED: bounds of what is drawn.
 _SLOWEST_MPS = 3.0  # least speed of an added leader, m/s
 _GAP_S = (1.0, 5.0)  # start gap to the leader beyond that at standstill, over the speed difference, s
+_HURRIED = 3  # inverse share of the fastest wanderings, of which an overtaker, in a hurry, has one
 # Not parameters, to _LASTS: they save rollouts.
 _LOOKS_S = 0.2  # time between two looks at the rough motion, s
 _CROSSED = 0.5  # share of a lateral motion at which the centre has crossed the line
@@ -242,7 +243,8 @@ class OvertakeStarts:
             known, rows = self._on(way.path).at(0), np.flatnonzero(way_of[leader] == n)
             touched = (known.low - CLEAR_GAP_M < s[rows]) & (s[rows] < known.high + CLEAR_GAP_M)
             fits[rows] &= (way.first < s[rows]) & (s[rows] < way.last) & ~touched.any(axis=0)
-        desired = with_wander(desired_mps[fits, None], wander[rng.integers(len(wander), size=fits.sum())])
+        hurried = wander[np.argsort(-wander.mean(axis=1), kind="stable")[: len(wander) // _HURRIED]]
+        desired = with_wander(desired_mps[fits, None], hurried[rng.integers(len(hurried), size=fits.sum())])
         return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], desired[:, 0]), desired)
 
     def _driven(
