@@ -9,7 +9,6 @@ import numpy as np
 
 from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
-from bridge.recordings.sidecar import SelectionRecord
 from hid2.agents import FloatArray, Policy
 from hid2.evaluation.critics import critique
 from hid2.evaluation.metrics import GROUPS, METRICS, Metric, MetricTable, columns
@@ -228,8 +227,8 @@ class Totals:
         self.events: list[Row] = []
         self._sources: dict[str, str] = {}  # and the log of each
         self._counts: Counter[str] = Counter()
-        #: By what is counted: reasons, shares wanted, quantities, events, and what each part of the selection has.
-        self._told: defaultdict[str, Counter[Any]] = defaultdict(Counter)
+        self._told: defaultdict[str, Counter[Any]] = defaultdict(Counter)  # by what is counted, such as reasons
+        self._selection: defaultdict[str, Counter[str]] = defaultdict(Counter)
 
     def add(self, measures: SceneMeasures) -> None:
         """Take a scene in."""
@@ -298,7 +297,7 @@ class Totals:
                 "placed_of_requested": counts["placed_of_requested"],
                 "rejected": dict(told["rejected"].most_common()),
                 "wanted": {name: total / counts["wanted"] for name, total in told["wanted"].items()},
-                "selection": {name: dict(told[name]) for name in SelectionRecord.model_fields if name in told},
+                "selection": {name: dict(part) for name, part in self._selection.items()},
                 "maneuvers": self.maneuvers.content(),
             },
         }
@@ -308,9 +307,10 @@ class Totals:
         self._counts.update(scenes=1, generated_scenes=row["generated"] > 0, wanted=bool(row["wanted"]))
         if row["requested"] is not None:
             self._counts.update(requested=row["requested"], placed_of_requested=row["placed"])
-        parts = {name: row[name] for name in ("rejected", "wanted", "findings")} | (row["selection"] or {})
-        for name, part in parts.items():
-            self._told[name].update(part or {})
+        for name in ("rejected", "wanted", "findings"):
+            self._told[name].update(row[name] or {})
+        for name, part in (row["selection"] or {}).items():
+            self._selection[name].update(part)
 
 
 class Evaluation(NamedTuple):
