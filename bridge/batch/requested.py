@@ -33,28 +33,31 @@ def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]
     )
 
 
+def may_be_impossible(config: Config, named: Sequence[Policy]) -> bool:
+    """Whether something is asked for that a scene may not offer: else none is looked at first."""
+    return bool(named or config.event or config.request.is_near_agents or config.request.first_trigger_s > _SHORTEST_S)
+
+
 def check_request(folders: Sequence[Address], config: Config, named: Sequence[Policy], *, jobs: int) -> None:
     """Look at the first scenes until each thing asked for can come about in one. Errors: ConfigError if none can."""
-    request = config.request
-    if request.own:
-        find_in_working_folder()
-    if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
+    if not may_be_impossible(config, named):
         return
-    never: dict[str, str] | None = None
-    seen = 0
+    if config.request.own:
+        find_in_working_folder()
+    told, never = list[dict[str, str]](), dict[str, str]()
     each = work_on_each(never_in_scene, folders[:_LOOKED_AT], (config, named), jobs=jobs, chunk=1, timeout_s=60.0)
     with contextlib.closing(each):
         for folder, found in each:
             if isinstance(found, Failure):
                 continue
-            seen += 1
             where = f"{folder}, for one" if len(folders) > 1 else f"{folder}"
-            here = {asked: f"{where}: {why}" for asked, why in found.items()}
-            never = here if never is None else {asked: why for asked, why in never.items() if asked in here}
+            told.append({asked: f"{where}: {why}" for asked, why in found.items()})
+            never = {asked: why for asked, why in told[0].items() if all(asked in one for one in told)}
             if not never:
                 return
-    for asked, why in (never or {}).items():
-        raise ConfigError(f"{asked}: can come about in none of the scenes looked at ({seen} of {len(folders)}); {why}")
+    for asked, why in never.items():
+        looked = f"{len(told)} of {len(folders)}"
+        raise ConfigError(f"{asked}: can come about in none of the scenes looked at ({looked}); {why}")
 
 
 def never_in_scene(shared: tuple[Config, Sequence[Policy]], folder: Address) -> dict[str, str]:
@@ -69,10 +72,11 @@ def never_in_scene(shared: tuple[Config, Sequence[Policy]], folder: Address) -> 
     (config, named), recording = shared, read_recording(folder)
     found = impossible(scene_of(recording, config), named)
     track, lane = max(recording.tracks, key=lambda one: one.path_m), min(recording.graph.lanes)
+    states = recording_states(recording, [track])
     for policy in named:
         made_up = Maneuver(track.track_id, BEHAVIOURS[policy].seen_as[0], 1.0, 2.0, 3.0, lane, lane, 1, complete=True)
         try:
-            is_shown(policy, recording_states(recording, [track]), made_up)
+            is_shown(policy, states, made_up)
         except ConfigError as error:
             found[f"behaviour {policy}"] = str(error)
     return found
@@ -119,9 +123,8 @@ def came_about_nowhere(rows: Sequence[ManifestRow], config: Config, named: Seque
         from hid2.policy.behaviours import BEHAVIOURS  # slow to import, and loaded by now
 
         kinds = {one: BEHAVIOURS[one].seen_as[0].value for one in named}
-    nowhere += [
-        one for one, kind in kinds.items() if _not_done(done, kind) and not any(getattr(row, kind) for row in done)
-    ]
+    unseen = [one for one, kind in kinds.items() if not any(getattr(row, kind) for row in done)]
+    nowhere += [one for one in unseen if _not_done(done, kinds[one])]
     is_empty = done and config.request.agents != 0 and not any(row.placed for row in done)
     return [*nowhere, *(["any vehicle"] if is_empty else [])]
 

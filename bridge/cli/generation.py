@@ -148,12 +148,12 @@ def generate(
         missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
-    from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
+    from bridge.batch import requested
     from bridge.config import functions_of
 
     resolved = asked.resolved()
-    named = named_behaviours(resolved.request, by_option=asked.behaviours is not None)
-    selects = any((*which, named, resolved.event, resolved.request.is_near_agents))
+    named = requested.named_behaviours(resolved.request, by_option=asked.behaviours is not None)
+    selects = any(which) or requested.may_be_impossible(resolved, named)
     beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
     how = running.batch.options(selects=selects, resume=running.resume, memory_mb=running.scene_memory, **beside)
     activity.doing("looking for scenes")
@@ -167,9 +167,9 @@ def generate(
 
     jobs_wanted = plan(folders, resolved)
     if not running.append:
-        check_same_request(out, jobs_wanted[0].runs[0].config)
+        requested.check_same_request(out, jobs_wanted[0].runs[0].config)
     activity.doing("looking at the first scenes")
-    check_request(folders, resolved, named, jobs=jobs)
+    requested.check_request(folders, resolved, named, jobs=jobs)
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))
     rows = run_batch(jobs_wanted, out, how, on_row=notes_of(activity, out, go_on="continue with --resume"))
@@ -180,7 +180,7 @@ def generate(
         print_batch(rows, resolved.request)
         paths = [out / row.folder for row in rows if row.folder] if len(rows) <= _LISTED_RUNS else []
         activity.result(*paths, out / MANIFEST_NAME)
-    if nowhere := came_about_nowhere(rows, resolved, named):
+    if nowhere := requested.came_about_nowhere(rows, resolved, named):
         fail(f"{', '.join(nowhere)}: asked for, and came about in no scene; {out / MANIFEST_NAME} has the reasons")
     return bool(nowhere) or any(row.status != DONE for row in rows)
 
