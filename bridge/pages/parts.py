@@ -72,7 +72,7 @@ _LINKED = {
 
 
 def linked(label: str) -> Markup:
-    """The name of a metric as HTML, its first known word linked to the definition."""
+    """The name of a metric as HTML, its first known word linked to its definition on report.html, and there alone."""
     text = escape(label)
     word = next((word for word in _LINKED if word in text), None)
     return text if word is None else text.replace(word, _link(f"word-{_LINKED[word]}", word), 1)
