@@ -22,7 +22,7 @@ import typer
 from typer.models import OptionInfo
 
 from bridge.console import Activity, say
-from bridge.recordings.folders import Choices
+from bridge.recordings import folders, sources
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
@@ -190,7 +190,7 @@ def _taken(name: str, kind: Any, default: Any) -> tuple[list[Parameter], Callabl
     if kind is Given:
         context = Parameter("context", Parameter.KEYWORD_ONLY, annotation=typer.Context)
         return [context], lambda values: _given(values["context"])
-    group = {Activity: Tell, Choices: Windows}.get(kind, kind)
+    group = {Activity: Tell, folders.Choices: Windows}.get(kind, kind)
     if hasattr(group, "_fields"):
         hints, defaults = get_type_hints(group), group._field_defaults
         each = {key: _taken(key, hints[key], defaults.get(key)) for key in group._fields}
@@ -207,7 +207,8 @@ def _given(context: typer.Context) -> Given:
 
 
 MAP = selection(
-    "An Argoverse 2 map, or a scene's folder with one, for Argoverse 1 sequences without their city's map.",
+    "An Argoverse 2 map, or a scene's folder with one, for "
+    f"{' or '.join(one.many for one in sources.READERS if 'map_path' in one.takes)} without a map.",
     None,
     "MAP",
     "--map",

@@ -10,8 +10,8 @@ from bridge.batch.manifest import is_output
 from bridge.cli.options import Which
 from bridge.console import Activity, say, warn
 from bridge.interruption import remove_abandoned
-from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, other_data
-from bridge.recordings.sources import READERS, described, find_one, find_recordings, fitting, names_in, nothing_at
+from bridge.recordings import sources
+from bridge.recordings.folders import SPLITS, Address, Choices, is_generated
 from netconvert.errors import ConfigError
 
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
@@ -21,9 +21,9 @@ def check_scenes(paths: Sequence[Path]) -> None:
     """Errors: ConfigError for a path that is not there, or a file and no recording, with what to give instead."""
     for path in paths:
         if not path.exists():
-            raise nothing_at(path)
+            raise sources.nothing_at(path)
         if path.is_file() and path.suffix != ".csv":
-            said = other_data(path) or f"is a file, expected a folder; {_instead_of_file(path)}"
+            said = sources.other_data(path) or f"is a file, expected a folder; {_instead_of_file(path)}"
             raise ConfigError(f"{path}: {said}")
 
 
@@ -41,15 +41,15 @@ def check_given(
 def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:
     """The one recording at a path. window: map and first sweep. Errors: ConfigError, with what to give instead."""
     check_scenes([path])
-    return fitting([find_one(path, Choices(*window))], Choices(*window))[0]
+    return sources.fitting([sources.find_one(path, Choices(*window))], Choices(*window))[0]
 
 
 def recordings(
     scenes: Sequence[Path], choices: Choices, activity: Activity, *, generated: bool = True
 ) -> list[Address]:
     """The recordings below paths, generated ones or not, with a note of what they are. Errors: ConfigError."""
-    found = fitting(find_recordings(scenes, choices, generated=generated), choices)
-    activity.note(*described(found))
+    found = sources.fitting(sources.find_recordings(scenes, choices, generated=generated), choices)
+    activity.note(*sources.described(found))
     return found
 
 
@@ -116,8 +116,7 @@ def _instead_of_file(path: Path) -> str:
 
 
 def _is_scene(folder: Path) -> bool:
-    names = names_in(folder)
-    return any(reader.is_folder and reader.sniff(folder, names) for reader in READERS)
+    return any(reader.is_folder and reader.sniff(folder, sources.names_in(folder)) for reader in sources.READERS)
 
 
 def _recorded(folder: Path) -> Iterator[Path]:

@@ -28,15 +28,6 @@ DEPTH = 3
 RAW = "raw"
 #: Folder of generated Argoverse 1 sequences below an output folder.
 SEQUENCES = "argoverse1"
-#: Names of files and folders by which other data is recognised.
-_OTHERS = {
-    "a nuScenes data set": r"sample_annotation\.json|sample\.json",
-    "Waymo data": r".+\.tfrecords?(-\d+-of-\d+)?(\.gz)?",
-    "nuPlan data": r".+\.db",
-    "a KITTI data set": r"calib_cam_to_cam\.txt|velodyne_points|label_02|oxts|tracklet_labels\.xml",
-    "a SUMO net or its traffic": r".+\.(net|rou|fcd)\.xml(\.gz)?|.+\.sumocfg",
-    "a table, such as of forecasts": r"(?!manifest\.).+\.csv(\.gz)?",
-}
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -155,15 +146,3 @@ def only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError])
 def is_generated(folder: Path) -> bool:
     """Whether hid2 wrote a scene: it has a sidecar."""
     return any(folder.glob(SIDECAR_PATTERN))
-
-
-def other_data(path: Path, *, depth: int = 0) -> str:
-    """What a file, or a folder with so many levels below, is of what hid2 does not read; "" where no name tells."""
-    files = [path, *(file for level in range(depth + 1) for file in sorted(path.glob("*/" * level + "*")))]
-    for what, pattern in _OTHERS.items():
-        found = next((file for file in files if re.fullmatch(pattern, file.name)), None)
-        if found is not None:
-            where = "" if found == path else f" (it has {found.relative_to(path).as_posix()[:100]!r})"
-            reads = "Argoverse 2 scenes or sensor logs or Argoverse 1 sequences (columns: bridge/recordings/README.md)"
-            return f"this is {what}{where}, which hid2 does not read; expected {reads}: convert it to one of them"
-    return ""

@@ -29,6 +29,15 @@ _SPLITS = {"train": "train", "val": "val", "test_obs": "test", "test": "test"}
 MAP_FILES, _VECTOR_MAPS = "map_files", "pruned_argoverse_*_vector_map.xml"
 #: Folders above a sequence that are looked at for its split and its map files: ROOT/val/data/1.csv.
 _ABOVE = 4
+#: Names of files and folders by which other data is recognised.
+_OTHERS = {
+    "a nuScenes data set": r"sample_annotation\.json|sample\.json",
+    "Waymo data": r".+\.tfrecords?(-\d+-of-\d+)?(\.gz)?",
+    "nuPlan data": r".+\.db",
+    "a KITTI data set": r"calib_cam_to_cam\.txt|velodyne_points|label_02|oxts|tracklet_labels\.xml",
+    "a SUMO net or its traffic": r".+\.(net|rou|fcd)\.xml(\.gz)?|.+\.sumocfg",
+    "a table, such as of forecasts": r"(?!manifest\.).+\.csv(\.gz)?",
+}
 
 
 def _find_windows(path: Path, _: frozenset[str], choices: Choices) -> list[Address]:
@@ -206,9 +215,21 @@ def nothing_at(path: Path) -> NoSceneError:
         said = "no such folder, expected a scenario folder, a split folder or a data-set root"
     else:
         files = "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
-        said = folders.other_data(path, depth=DEPTH)
+        said = other_data(path, depth=DEPTH)
         said = said or f"no scenario; expected {files} in it or one to three folders below"
     return NoSceneError(f"{path}: {said}")
+
+
+def other_data(path: Path, *, depth: int = 0) -> str:
+    """What a file, or a folder with so many levels below, is of what hid2 does not read; "" where no name tells."""
+    files = [path, *(file for level in range(depth + 1) for file in sorted(path.glob("*/" * level + "*")))]
+    for what, pattern in _OTHERS.items():
+        found = next((file for file in files if re.fullmatch(pattern, file.name)), None)
+        if found is not None:
+            where = "" if found == path else f" (it has {found.relative_to(path).as_posix()[:100]!r})"
+            reads = f"{' or '.join(one.many for one in READERS)} (columns: bridge/recordings/README.md)"
+            return f"this is {what}{where}, which hid2 does not read; expected {reads}: convert it to one of them"
+    return ""
 
 
 def read_recording(address: Address | str) -> "Recording":
