@@ -33,7 +33,7 @@ _CONDITIONS = {"lead": Reason.FRONT_GAP, "lag": Reason.REAR_GAP, "cells": Reason
 
 @dataclass(frozen=True, slots=True)
 class GapView:
-    """One look at a gap: all that a rule is told. m, s, m/s, m/s2; Gap: bumper gap and speed, inf where no agent is.
+    """One look at a gap: all that a rule is told. m, s, m/s, m/s2; Gap: bumper gap and speed, `OPEN` (inf, 0) for none.
 
     front, rear: new leader and new follower; own_front, own_rear: those on the lane that would be left; waited_s: since
     the trigger; cells_free: sigma = 0 in cells j-1, j, j+1 of l'; remaining_m: length of l' left; tau_s, accel_mps2,
