@@ -59,7 +59,7 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
     waits_s = max(scene.config.lane_change.give_up_s, scene.step_s)  # one look at least
     if vehicle.stage is Stage.WAITING and time_s > trigger_s + waits_s + 1e-9:  # sums of steps
         vehicle.stage = Stage.ABORTED
-        if vehicle.reason is Reason.NO_ADJACENT_LANE and vehicle.gaps:  # why not while there was a lane says more
+        if vehicle.reason is Reason.NO_ADJACENT_LANE and vehicle.gaps:  # the last refusal of a lane says more
             vehicle.reason = vehicle.gaps[-1].rule or vehicle.gaps[-1].guard or Reason.SUMO_REFUSES
     return is_due(vehicle.stage, time_s, trigger_s)
 
@@ -156,7 +156,7 @@ class ManoeuvreDue:
         vehicle, start, scene = self.vehicle, self.vehicle.start, self.scene
         cell = scene.cell_at(vehicle.path, vehicle.s[-1])
         own_front, own_rear = OPEN, OPEN
-        if scene.config.lane_change.rule not in ("paper", "LC2013"):  # these are not told of them
+        if scene.config.lane_change.rule not in ("paper", "LC2013"):  # those two read no own gaps
             own_front, own_rear = gaps_on(scene, vehicle.path, start.box, at=vehicle.s[-1], inserted=self._inserted)
         return Observation(
             time_s=self.now * scene.step_s, next_cell=scene.grid.longitudinal(cell),

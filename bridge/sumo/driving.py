@@ -34,7 +34,7 @@ class FleetSimulation:
     """One simulation of a fleet, each vehicle from its own first step on.
 
     checked: every recorded agent is replayed at every step, and its pose in SUMO compared; else only while a vehicle is
-    to see it. Where recorded vehicles react, the fleet's scene becomes another one with each that yields, and
+    to see it. Where recorded vehicles react, the fleet's scene is a new one whenever one yields, and
     `reactions` says how late they are.
     """
 
@@ -60,8 +60,8 @@ class FleetSimulation:
             replay.warm_up(back)
             simulation.step()
 
-        def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
-            return simulation.follow_speed(replay.names[row], speed_mps, gap_m=gap_m, leader_mps=leader_mps)
+        def follow_mps(recorded: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
+            return simulation.follow_speed(replay.names[recorded], speed_mps, gap_m=gap_m, leader_mps=leader_mps)
 
         if fleet.scene.config.driving.replay != "fixed":  # recorded vehicles react, by SUMO's car following
             self.reactions = Reactions(fleet.scene, follow_mps)
@@ -106,15 +106,15 @@ class FleetSimulation:
             else:  # `decide` has nothing to choose: it would return this policy
                 fleet.vehicles[row].policies[lane_policy] += 1
             if limits.braking_fails[k] and steering.take_another_way(fleet, self.simulation, row, now):
-                for found, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
-                    found[k:] = renewed  # those after it see where it goes
+                for column, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
+                    column[k:] = renewed  # its own, and of those after it, which see where it goes
                 self._replay.take(fleet.recorded_and_kept)  # others may have to be shown on this way
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)
 
     def _replayed(self) -> Traffic:
         """Recorded agents and those kept, as they are put into SUMO."""
-        anywhere = self.checked or self.fleet.scene.config.driving.replay != "fixed"  # as agents that react are
+        anywhere = self.checked or self.fleet.scene.config.driving.replay != "fixed"  # reacting ones may be
         return self.fleet.recorded_and_kept if anywhere else ever_shown(self.fleet)
 
     def _drive(self, rows: IntArray, limits: steering.SpeedLimits, now: int) -> dict[int, Limit]:

@@ -67,7 +67,7 @@ class LimitInputs(NamedTuple):
 class Fleet:
     """Vehicles that are driven together among recorded ones and those kept in rounds before.
 
-    scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m:
+    scene: where recorded vehicles react, a new one whenever one yields (`look_anew`); near_m:
     vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5): s m, v m/s,
     a m/s2, whether it executes a manoeuvre, whether it is there; along_m (N,) of the centre on the path, from its first
     step on, NaN for a vehicle nowhere; centre (N, 2) m, inf for a vehicle that is nowhere yet; length_m (N,) of the
@@ -143,7 +143,7 @@ class Fleet:
         """Add the state that SUMO has now: the front bumper front_m along a lane, at a speed.
 
         SUMO puts a vehicle that changes lanes into the cell beside, as far along: the arc length jumps. On its new path
-        it goes on from where it was, and the jump is given back on the way (`Jump`). Where SUMO has it on no lane of
+        it goes on from where it was; its lead over SUMO's place fades out (`Jump`). Where SUMO has it on no lane of
         the path, as at a split that it takes otherwise, it goes on as it was.
         """
         vehicle, context = self.vehicles[row], self.contexts[row]
@@ -233,9 +233,9 @@ class Fleet:
         return np.flatnonzero(self.state[:, PRESENT])
 
     def limit_inputs(self, now: int) -> tuple[IntArray, LimitInputs]:
-        """Where those of each vehicle that is `here` begin, (M + 1, 6), and their inputs, one after another.
+        """Where the inputs of each vehicle that is `here` begin, (M + 1, 6), and all inputs, one vehicle after another.
 
-        Of the road's table, its lanes, known agents, stop lines, others, and what these sweep.
+        The six: the road's table, its lanes, known agents, stop lines, other vehicles, and what those sweep.
         """
         if self._limit_inputs is None or self.scene.config.driving.replay != "fixed":
             each = [self._limit_inputs_of(row, now) for row in self.here.tolist()]

@@ -110,7 +110,7 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
 class Attempt:
     """A lane change that SUMO has been asked for at a step.
 
-    row: of the fleet; look: of the vehicle's gaps; lane: SUMO's name of the lane beside.
+    row: of the fleet; look: index into the vehicle's `gaps`; lane: SUMO's name of the lane beside.
     """
 
     row: int
@@ -149,7 +149,7 @@ def apply_policy(
 
 
 def _keep_time(fleet: Fleet, row: int, now: int) -> None:
-    """Lay the way across anew where a vehicle is farther, or less far, than its driver would be by now."""
+    """Lay the way across anew where the share of it that is driven is off its driver's timing, as the speed changed."""
     vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
     motion = vehicle.path.lateral
     assert motion is not None

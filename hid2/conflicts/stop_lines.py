@@ -23,7 +23,7 @@ from hid2.scene import Scene
 # No tunables: where a driver stops.
 _CROSSING_GAP_M = 0.5  # least gap from a standing vehicle's front to where pedestrians cross, m
 _PASSED_M = 1.0  # distance past its place to stand at which a vehicle has passed the line, m
-# No tunables, to _DIRECTED_MPS: what crossing is.
+# No tunables from here to _DIRECTED_MPS: what crossing is.
 _NEAR_M = 1.0  # distance to a crossing up to which an agent that comes towards it counts, m
 _TOWARDS_MPS = 0.3  # least speed of an agent that comes towards a crossing, m/s
 _AHEAD_S = 1.5  # time before an agent is on the crossing from which on it counts, s

@@ -25,20 +25,20 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
-# No tunables, to _MOST_FAILURES_STRAIGHT: they bound the search.
+# No tunables from here to _MOST_FAILURES_STRAIGHT: they bound the search.
 _MOST = 400  # vehicles that `agents = max` asks for, at most
 _MOST_FAILURES = 4  # requests of a policy without a site, after which a round looks for no more such sites
-#: The same of requests to go straight where a number is asked for, not `max`: the first that fails is looked for once
-#: more, with all cells open again.
+#: The same of requests to go straight, where `agents` is a number. With `max` too, the first that fails is looked for
+#: once more, with all cells open again.
 _MOST_FAILURES_STRAIGHT = 1
 #: Length of lane per vehicle on a full road, m. No tunable: what `agents = max` means.
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Rounds in a row without a new vehicle, after which the search ends. No tunable: one round may have bad luck; a third
-#: finds four vehicles in a thousand for a tenth of the search.
+#: adds .4 % of the vehicles for a tenth of the search.
 _MOST_IDLE = 2
-#: Random stream that rounds the numbers of `Wanted`, apart from those of the rounds. No tunable: a name.
+#: Random stream by which `Wanted` rounds its numbers, apart from the rounds' streams. No tunable: a name.
 _ROUNDING = (0, 79)
 _LOG = logging.getLogger(__name__)
 
@@ -109,7 +109,7 @@ class Filling:
         idle = 0
         for number in range(config.spawn.rounds):
             starts, before = self._starts(number), len(self.kept)
-            if starts or number == 0:
+            if starts or number == 0:  # without a start it measures the replay alone
                 self.rounds = number + 1
                 self._keep(drive(starts, self._kept_traffic, number))
             if not self._open:
@@ -289,10 +289,10 @@ class Filling:
         for row, reason in conflicting(self.scene, [*self.kept, *new], first_row=len(self.kept)):
             driven = new[row - len(self.kept)].driven
             rejections[driven.vehicle_id] = self._rejection(driven, reason)
-        changers = [] if "collision" in self.scene.config.without else [one for one in self.kept if one.driven.shifts]
-        for one in new:  # whatever else speaks against it
+        for one in new:  # replaces a reason found above
             if any(comes_between(self.scene, event, one) for event in self.events):
                 rejections[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
+        changers = [] if "collision" in self.scene.config.without else [one for one in self.kept if one.driven.shifts]
         for one in new if changers else ():
             alone = traffic_of_exported([one], self.scene)
             if any(takes_gap(self.scene, before, alone) for before in changers):
@@ -307,7 +307,7 @@ class Filling:
     def _reused_as_straight(
         self, new: list[ExportedVehicle], rejections: dict[str, Rejection]
     ) -> list[ExportedVehicle]:
-        """Vehicles that did not do their manoeuvre each meet an open request to go straight; the others are rejected.
+        """Vehicles that did not do their manoeuvre take over open requests to go straight; the others are rejected.
 
         One that has begun to drive across cannot. The manoeuvre stays open. Vehicles that others need come first.
         """
@@ -332,7 +332,7 @@ class Filling:
         return list(found.values())
 
     def _reject_what_waited(self, new: list[ExportedVehicle], rejections: dict[str, Rejection]) -> None:
-        """Reject a vehicle that braked for a rejected one, or overtook it."""
+        """Reject each vehicle that braked for a rejected one, or overtook it, until none is left."""
         changed = True
         while changed:
             changed = False

@@ -28,7 +28,7 @@ from netconvert.lane_graph import TurnType
 NEAR_WEIGHT = 20.0
 #: Weight of a site where a recorded follower would run into the vehicle: most of them fail. No tunable, as NEAR_WEIGHT.
 _RUN_INTO_WEIGHT = 0.2
-# No tunables, to _ROUTES: what is met is foreseen roughly here; a rollout follows.
+# No tunables from here to _ROUTES: what is met is foreseen roughly here; a rollout follows.
 PACE_SHARE = 0.9  # foreseen over usual speed of a vehicle, which brakes now and then
 _NEAR_SHARE = 0.7  # share of `request.within_m` up to which agents are near
 _LEAVES_SHARE = 0.8  # least way left at a site over the way at the usual speed

@@ -32,7 +32,7 @@ from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import Side
 
-# No tunables, to _ROLLED_OUT: they bound the search.
+# No tunables from here to _ROLLED_OUT: they bound the search.
 _WAYS = 288  # ways looked at for a request, at most
 _TOGETHER = 16  # ways looked at in one batch
 _HOPELESS = 48  # ways after which the search is given up where no overtake seems to fit
@@ -41,11 +41,11 @@ _DRIVERS = 6  # drivers drawn for each way
 _GAPS = 6  # gaps drawn for each pair of leader and driver
 _WANDERS = 48  # wanderings of the desired speed drawn for a request
 _ROLLED_OUT = 24  # overtakes rolled out for a request, at most
-# No tunables, to _HURRIED: bounds of what is drawn.
+# No tunables from here to _HURRIED: bounds of what is drawn.
 _SLOWEST_MPS = 3.0  # least speed of an added leader, m/s
 _GAP_S = (1.0, 5.0)  # start gap to the leader beyond that at standstill, over the speed difference, s
 _HURRIED = 3  # inverse share of the fastest wanderings, of which an overtaker, in a hurry, has one
-# Not parameters, to _LASTS: they save rollouts.
+# Not parameters from here to _LASTS: they save rollouts.
 _LOOKS_S = 0.2  # time between two looks at the rough motion, s
 _CROSSED = 0.5  # share of a lateral motion at which the centre has crossed the line
 _SPARE_S = 0.1  # spare above the critical TTC to the leader, s

@@ -3,9 +3,9 @@
     known: recorded agents by their true future, vehicles kept in rounds before, candidates chosen so far by rollouts
 
 The loop is compiled (`kernels/rollout.py`): no SUMO in it, but SUMO's EIDM without its noise (whatever
-`car_following.model` is), the guard and the road. Unlike in the simulation Algorithm 1 is asked once a second, while
-passing every .3 s, and no vehicle slows down for a gap or takes another way. Rollouts say which candidates start; what
-is exported is SUMO's.
+`car_following.model` is), the guard and the road. Unlike in the simulation Algorithm 1 is asked once a second (every
+.3 s while it passes), and no vehicle slows down for a gap or takes another way. Rollouts say which candidates start;
+what is exported is SUMO's.
 """
 
 import math
@@ -38,7 +38,7 @@ from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import Side, TurnType
 from netconvert.net_xml import speed_limit_mps
 
-# Not parameters, to _NEAR_GAPS_M: they save time.
+# Not parameters from here to _NEAR_GAPS_M: they save time.
 _LOOKS_S = 1.0  # time between two looks of a vehicle that waits for a gap, s
 _PASSING_LOOKS_S = 0.3  # time between two looks of a vehicle that passes, s: passing is short, waiting long
 _HINDERED_S = 4.0  # TTC to a new candidate below which a follower chosen before is rolled out anew, s
@@ -58,7 +58,7 @@ _TURN_MPS = {TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 class Rollout:
     """A motion on a path: s (K,) m and v (K,) m/s at the scene's steps from `step` on.
 
-    memory (K, M): what the driver keeps in mind, as the kernel has it.
+    memory (K, M): the state of the driver's model (EIDM) at each step, from which a next part goes on.
     """
 
     path: DrivenPath
@@ -89,9 +89,9 @@ class RolledOut:
 
 @dataclass(eq=False)
 class World:
-    """What candidates are rolled out against. guard: with those kept, which have their final motion, and those chosen.
+    """What candidates are rolled out against. guard: knows those kept, by their final motion, and those chosen.
 
-    target_id: of an event, which is about the gap that is left to it.
+    target_id: of an event's target: its headway and braking are not asked, as the event is about the gap left to it.
     """
 
     scene: Scene
@@ -107,9 +107,9 @@ class World:
         self._kept = self.guard.inserted_known
 
     def choose(self, *candidates: RolledOut, without: str = "") -> None:
-        """Candidates after these are rolled out against them; one that was chosen before has another motion now.
+        """Add candidates that later ones are rolled out against; one that was chosen before gets its new motion.
 
-        without: one that is no longer chosen. What is known of those before the first change stays known; the rest is
+        without: id of one to drop. What was worked out for the traffic before the first change is kept, and the rest
         freed: for one round of sixty vehicles it would be gigabytes.
         """
         new, known = {one.start.vehicle_id: one for one in candidates}, self.guard.inserted_known
@@ -284,10 +284,10 @@ class World:
             step += scene.steps_in(_PASSING_LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
         return vehicle, tuple(parts)
 
-    def _jumped(self, start: Start, left: DrivenPath, onto: Rollout, side: Side) -> Rollout:
-        """The motion onto another lane, with what SUMO jumps to the facing cell given back on the way (`Jump`)."""
+    def _jumped(self, start: Start, source: DrivenPath, onto: Rollout, side: Side) -> Rollout:
+        """The motion onto another lane from the own place on; SUMO's jump to the facing cell fades out (`Jump`)."""
         grid, front = self.scene.grid, float(onto.s[0]) + 0.5 * start.size.length_m
-        segment = next((one for one in left.followed if one.end > front), left.followed[-1])
+        segment = next((one for one in source.followed if one.end > front), source.followed[-1])
         cell = grid.cell_at(segment.lane_id, segment.lane_m(front))
         facing = grid.lateral(cell, side)
         if facing is None:
@@ -386,7 +386,7 @@ class World:
         return int(np.searchsorted(rollout.s, rollout.path.exit_m - 0.5 * start.size.length_m, side="right"))
 
     def _met(self, start: Start, rollout: Rollout) -> tuple[FloatArray, PathOccupancy]:
-        """What each agent known on its path is to a motion (R, 3), as the kernel `met_by` has it, and those agents."""
+        """Contact and TTCs of a motion with each known agent on its path (R, 3), as `met_by` has them; those agents."""
         known, inside = self.guard.known_on(rollout.path, start.box), self._steps_on_map(start, rollout)
         return met_by(
             rollout.s[:inside], rollout.v[:inside], rollout.step, known.low, known.high, known.along,

@@ -45,7 +45,7 @@ _PASSES = 2
 _SLOWS = frozenset({Situation.BRAKES, Situation.STANDS})
 #: Share of the usual speed at which a vehicle must not leave the map too early. Not a parameter, it saves time.
 _STAYS_SHARE = 0.8
-# No tunables, to _BESIDE_M: manoeuvres are foreseen roughly; a rollout, SUMO and the judge follow.
+# No tunables from here to _BESIDE_M: manoeuvres are foreseen roughly; a rollout, SUMO and the judge follow.
 #: Least distance from a start to its turn at a strict site, m (strict: `InsertionSites._start_for`).
 _BEFORE_TURN_M = 5.0
 _APPROACH_SHARE = 0.75  # speed on the way to a turn over the usual speed

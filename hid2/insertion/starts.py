@@ -32,12 +32,12 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import SIDES, Side
 
-# No tunables, to _BEGINS_S: how vehicles begin.
+# No tunables from here to _BEGINS_S: how vehicles begin.
 _HOLDS_S = 3.0  # time over which a start with `request.sites = any` must meet nothing, s
 _FROM_EDGE_M = 0.5  # least distance from the begin of a route to a rear bumper, m
 _TO_EDGE_M = 1.0  # least distance from a front bumper to the end of a route, m
 _BEGINS_S = 1.3  # duration of the beginning of a vehicle, over which it does not brake hard, s
-# No tunables, to _EASED_AT_MOST: they save looking in vain.
+# No tunables from here to _EASED_AT_MOST: they save looking in vain.
 _DRIVERS = 3  # drivers drawn for a site, at most
 _KEPT_SHARE = 0.95  # share of its start speed with which a vehicle must be on the map long enough
 _AHEAD_S = 12.0  # look-ahead along a route for sharp curves, s: a scene lasts 11

@@ -120,7 +120,7 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
         return None
     own, target = ids.index(claim.track_id), ids.index(claim.target_id)
     near = round(claim.at_s / states.arrays.step_s)
-    if claim.ahead is (claim.kind == "follow") and claim.kind not in ("merge", "cross"):
+    if claim.kind not in ("merge", "cross") and claim.ahead is (claim.kind == "follow"):  # only a follow is behind
         return None
     match claim.kind:
         case "cut_in":
@@ -133,7 +133,7 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
         case "cross":
             steps = crossing_steps(states, own, target)
             if steps is None or (steps[0] < steps[1]) is not claim.ahead or _merged(states, own, target) is not None:
-                return None  # ways that join cut each other where they do
+                return None  # a merge is no crossing, though its paths meet
             return steps[0]
         case _:  # lead, follow
             return near if _leads(states, *((own, target) if claim.ahead else (target, own)), near) else None

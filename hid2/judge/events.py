@@ -30,7 +30,7 @@ class EventMeasures:
     """What an event was like for its target, which is recorded and does not react.
 
     gap_m: bumper to bumper along the lanes driven at the moment of the event, whichever is ahead; of a crossing from
-    the bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
+    the target's bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
     then; min_ttc_s: smallest two-dimensional TTC from then on for AFTER_S, of a cut-in from _BEFORE_S before, of a
     crossing of all steps, None where it is never below EVENT_CAP_S; ttc_at_s: when that is; headway_s: smallest
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
@@ -100,14 +100,14 @@ def ahead_on_lanes(states: AgentStates, own: int, target: int, steps: IntArray) 
     """
     arrays = states.arrays
     rows = arrays.row_of[[target, own]][:, steps]
-    for behind, order in ((target, 1), (own, -1)):
+    for behind, sign in ((target, 1), (own, -1)):
         runs = runs_of(states, behind)
-        k = run_at(runs, int(rows[::order][0, 0]))
+        k = run_at(runs, int(rows[::sign][0, 0]))
         if k is not None:
             path, _ = path_driven(states, runs, k)
-            its, others = (path.frenet(arrays.position[one])[0] for one in rows[::order])
-            if others[0] > its[0]:
-                return np.asarray(order * (others - its))
+            behind_m, front_m = (path.frenet(arrays.position[one])[0] for one in rows[::sign])
+            if front_m[0] > behind_m[0]:
+                return np.asarray(sign * (front_m - behind_m))
     heading, offset = arrays.heading[rows[0]], arrays.position[rows[1]] - arrays.position[rows[0]]
     return np.asarray(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
 

@@ -197,7 +197,7 @@ Allowed = Mapping[tuple[str | None, Quantity], float]
 
 
 def allowed_to(target_id: str | None, event: Mapping[str, Any]) -> Allowed:
-    """What is no finding of an event's vehicle towards its target, at any headway: it is about the gap between them."""
+    """Least values of an event's vehicle towards its target that are no finding: of its bands, and any headway."""
     asked = {one: float(event[band][0]) for band in _BANDS if event.get(band) for one in _BANDS[band]}
     asked |= dict.fromkeys((Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING), float("-inf"))
     return {(target_id, quantity): least for quantity, least in asked.items()}

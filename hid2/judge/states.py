@@ -39,7 +39,7 @@ from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph, crossable
 
-# No tunables, to _INTERSECTION_DEG: what states are held to.
+# No tunables from here to _INTERSECTION_DEG: what states are held to.
 _FOLLOWER_MPS = 3.0  # speed above which FOLLOWER_HEADWAY_S is asked of a follower, m/s
 _FOLLOWER_FOR_S = 1.0  # least duration of a headway below FOLLOWER_HEADWAY_S that counts, s
 _LACKS_FOR_S = 0.5  # least duration of a follower's lack of braking that counts, s
@@ -197,7 +197,7 @@ def _shared_m2(traffic: Traffic, agents: list[int], length_m: list[float], width
     following = min(step + 1, traffic.num_steps - 1)
     there = traffic.present[agents, following]
     way = np.where(there[:, None], position[:, following] - position[:, step], 0.0)
-    turn = np.where(there, 0.5 * wrap_angle(2.0 * (heading[:, following] - heading[:, step])), 0.0)  # of a box
+    turn = np.where(there, 0.5 * wrap_angle(2.0 * (heading[:, following] - heading[:, step])), 0.0)  # of a box, mod pi
     most = 0.0
     for share in (0.0, 0.5):
         at, angle = position[:, step] + share * way, heading[:, step] + share * turn
@@ -247,7 +247,7 @@ def contacts_at_end(here: Traffic, bounds: Bounds, *, step_s: float) -> Iterator
     no_followers = np.flatnonzero(~(behind & (np.cos(heading - heading[0]) > SAME_WAY)))  # 0 is the own box
     if not _meets_braking(here.rows(no_followers.tolist()), step_s):
         return
-    for other in no_followers[1:].tolist():  # each by itself: an agent that it would pass sees it brake
+    for other in no_followers[1:].tolist():  # one met only because it brakes sees the brakes
         pair = here.rows([0, other])
         ttc_s, met = _first_contact(pair)
         if met > 0 and _meets_braking(pair, step_s):
@@ -296,7 +296,7 @@ def ttc_on_lanes(states: AgentStates, led: LaneLeaders, bounds: Bounds) -> Itera
 
 
 def of_recorded_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
-    """Of each recorded follower to each inserted vehicle, also of other lanes, on its driven path: TTC and braking."""
+    """TTC and braking of recorded followers behind inserted vehicles, also of other lanes, on their driven path."""
     arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
     leaders_of = states.traffic.rows(inserted.tolist())
     for follower in np.flatnonzero(arrays.moving_on_roads & ~arrays.generated).tolist():
@@ -340,7 +340,7 @@ def of_crossings(states: AgentStates, bounds: Bounds, *, first_row: int) -> Iter
 
 
 def headways(states: AgentStates, led: LaneLeaders, beyond_m: FloatArray | float = 0.0) -> Iterator[Finding]:
-    """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording.
+    """Recorded followers below FOLLOWER_HEADWAY_S to inserted leaders, and below what they kept in the recording.
 
     beyond_m (A,): by how much boxes of the states are longer, ahead, than exported.
     """
@@ -359,7 +359,7 @@ def headway_on_driven_path(
     arrays = states.arrays
     vehicles = arrays.vehicle[led.agents]
     leader, gap_m = PathLeaders(led.agents[vehicles], led.gap_m[vehicles], led.closing_mps[vehicles]).next_ones()
-    leader_m = (arrays.length - beyond_m)[leader]  # of none any: no gap counts
+    leader_m = (arrays.length - beyond_m)[leader]  # without a leader any: its gap is inf
     headway_s, at = sustained_headway(gap_m, leader_m, states.speed(agent), arrays.step_s)
     if headway_s < FOLLOWER_HEADWAY_S:
         pair = agent, int(leader[at])
@@ -388,9 +388,9 @@ def sustained_headway(
         return math.inf, 0
     front_m = gap_m + np.minimum(leader_m, LEADER_LENGTH_S * speed_mps)
     headway_s = np.where(speed_mps > _FOLLOWER_MPS, front_m / np.maximum(speed_mps, _FOLLOWER_MPS), np.inf)
-    longest = np.lib.stride_tricks.sliding_window_view(headway_s, lasts).max(axis=1)
-    at = int(np.argmin(longest))
-    return float(longest[at]), at + lasts - 1
+    window_max_s = np.lib.stride_tricks.sliding_window_view(headway_s, lasts).max(axis=1)
+    at = int(np.argmin(window_max_s))
+    return float(window_max_s[at]), at + lasts - 1
 
 
 def _too_short_headways(

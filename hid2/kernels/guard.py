@@ -8,7 +8,7 @@ from hid2.kernels.path_intervals import PET_MARGIN_M, SAME_WAY
 from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-# How a driver brakes for what SUMO does not see. No tunables, to _EASES_BELOW_MPS: chosen on the scenes of tests/real.
+# How a driver brakes for what SUMO does not see. No tunables from here to _EASES_BELOW_MPS: chosen on tests' scenes.
 STRIDE = 2  # steps from one look at the predicted motion to the next
 _PREDICTED_JERK_MPS3 = 4.0  # rate at which predicted braking builds up, m/s3
 _BRAKING_LASTS_S = 1.0  # time for which an inserted vehicle that brakes is predicted to brake on, s
@@ -212,7 +212,7 @@ def needed_braking(
     start: tuple[float, float, float], desired_mps: float, road: FloatArray, horizon: int, step_s: float,
     driver: tuple[float, float, float, float], brakes: FloatArray,
 ) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
-    """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) with which predicted motion meets no agent.
+    """Smallest constant braking (of `brakes`, m/s2, ascending from 0) that meets no agent; if all do, about the latest.
 
     low, high, along, same_direction (A, T): agents with a known future, as in `PathOccupancy`. stop_m (L,) m, closed
     (L, T): stop lines. swept (4, G, K): as in `Obstacles`, of rows (G,) of fleet (N, 5): s, v, a, executing, present.

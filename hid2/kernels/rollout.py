@@ -57,7 +57,7 @@ def _desired_ahead(desired: float, v: float, front: float, lane: int, ends: Floa
 
 @inner
 def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int, s: float, before_m: float) -> bool:
-    """Whether boxes meet at the step after t, but for an agent that runs in from behind."""
+    """Whether the box meets another at the step after t; an agent that runs into it from behind does not count."""
     for row in range(low.shape[0]):
         is_met = low[row, t + 1] < s < high[row, t + 1]
         if is_met and (not same_direction[row, t] or gap_to(low[row, t], high[row, t], before_m)[1]):
@@ -81,13 +81,13 @@ def roll(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
-    No further than to where the boxes of the vehicle and another agent meet. Third, what the driver keeps in mind at
-    each step (K, M); memory (M,): at the first one, empty for a driver that has just come.
+    No further than to where the boxes of the vehicle and another agent meet. Third, the state of the driver's EIDM at
+    each step (K, M); memory (M,): that at the first one, empty for a driver that has just come.
 
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
     own, of the box that SUMO has. shown_* (R, T): the agents that SUMO is shown, as in `Shown`.
-    Of the map's lanes along the path as SUMO has it (L,): link_m, where they end; paces, metres on the path for one on
-    the lane; turns m/s, at most desired for the link to each. cell_m: length of a cell, about, which is a lane in SUMO.
+    Of the map's lanes along the path as SUMO has it (L,): link_m, where they end; paces, metres of path per metre of
+    lane; turns, m/s, largest desired speed on the way to each. cell_m: usual length of a cell, which is a SUMO lane.
     """
     first, last = span
     s_at, v_at = np.empty(last - first + 1), np.empty(last - first + 1)

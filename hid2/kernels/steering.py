@@ -14,7 +14,7 @@ _CONFLICT, _CURVE, _TURN = CAUSES.index("conflict"), CAUSES.index("curve"), CAUS
 LIMIT_TOLERANCE_MPS = 1e-3
 #: Number of the policy of lanes that do not turn, as in `policy/roads.py`.
 STRAIGHT = 0
-# When a driver yields. No tunables, to _BEHIND_RATIO: chosen on the scenes of tests/real.
+# When a driver yields. No tunables from here to _BEHIND_RATIO: chosen on the scenes of tests/real.
 ACTS_MPS2 = 1.1  # least deceleration needed for a conflict at which a vehicle begins to yield, m/s2
 #: Least deceleration needed for a conflict at which a vehicle that yields keeps on yielding, m/s2.
 _KEEPS_YIELDING_MPS2 = 0.3

@@ -46,7 +46,7 @@ class Observation:
 class Decision:
     """policy_i and g_i^{t+1}.
 
-    reason: why the last lane looked at, if any, was not taken; None where one is, or no manoeuvre is due; target:
+    reason: why the last lane looked at was not taken, or NO_ADJACENT_LANE; None where one is, or none is due; target:
     g_i^{t+1}, as the listing returns it; what is carried out is a change of lanes to `side`. answers: of each adjacent
     lane looked at, in order, the conditions that refuse it (of an overtake one), empty where it is taken.
     """
@@ -64,7 +64,7 @@ def is_due(stage: Stage, time_s: float, trigger_s: float) -> bool:
 
 
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
-    """Algorithm 1 (Agent Decision), of overtakes too from the trigger time on, which its listing asks of lane changes.
+    """Algorithm 1 (Agent Decision). Overtakes too wait for the trigger time, as only lane changes do in its listing.
 
     In its listing an agent that cannot change lanes overtakes; here each does what it is asked for, one of the two.
     The target is g_{l',j}, as in the paper's text (its listing has j+1). "Not feasible" is a reason, no exception.
@@ -72,7 +72,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
     reason: Reason | None = None
     answers: list[tuple[Reason, ...]] = []
     may_begin = is_due(seen.stage, seen.time_s, seen.trigger_s)
-    if may_begin and BEHAVIOURS[seen.request].sides:
+    if may_begin and BEHAVIOURS[seen.request].sides:  # a lane change: overtakes have no sides
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             answers.append(rule_refusals(_view(seen, option), lane_change))
@@ -88,7 +88,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
                 reason = enter_reason(option, leader=seen.leader, desired_mps=seen.driver.desired_mps, params=overtake)
                 if reason is None:
                     view = _view(seen, option)
-                    if lane_change.rule == "paper":  # its gaps are the conditions above
+                    if lane_change.rule == "paper":  # `enter_reason` has looked at the gaps
                         view = replace(view, front=OPEN, rear=OPEN)
                     reason = rule_reason(view, lane_change)
             answers.append(() if reason is None else (reason,))
