@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -14,9 +15,10 @@ from hid2.motion.route import first_turn
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS, is_shown
-from hid2.policy.lane_change import OPEN, Gap, gap_refusals
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.observation import Inserted, gaps_on, returns_to
 from hid2.policy.overtake import Stage
+from hid2.policy.rules import refusal_of_lane
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Shift
@@ -61,7 +63,7 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVe
 
 
 def takes_gap(scene: Scene, kept: ExportedVehicle, inserted: Traffic) -> bool:
-    """Whether others (A, T + E) are in a gap that a vehicle kept before took, nearer than the paper's rule allows."""
+    """Whether others (A, T + E) are in a gap that a vehicle kept before took, nearer than its rule allows."""
     for shift in kept.driven.shifts:
         step = shift.requested_step
         if not inserted.present[:, step].any():
@@ -69,8 +71,9 @@ def takes_gap(scene: Scene, kept: ExportedVehicle, inserted: Traffic) -> bool:
         front, rear = (
             one if one.track_id in inserted.ids else OPEN for one in gaps_at_request(scene, kept, shift, inserted)
         )
-        speed_mps, params = float(kept.motion.v[step - kept.span.start]), scene.config.lane_change
-        if any(gap_refusals(speed_mps=speed_mps, cells_free=True, front=front, rear=rear, params=params)):
+        driver, speed_mps = kept.driven.start.driver, float(kept.motion.v[step - kept.span.start])
+        refused = partial(refusal_of_lane, driver, scene.config.lane_change, speed_mps=speed_mps, side=shift.side)
+        if refused(front=front, rear=rear) is not None and refused() is None:
             return True
     return False
 

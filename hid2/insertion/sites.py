@@ -22,7 +22,7 @@ from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.occupancy.sigma import clear_places
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.rules import refusal_of_free_lane
+from hid2.policy.rules import refusal_of_lane
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -308,6 +308,6 @@ class InsertionSites:
             and beside.remaining_m - max(0.0, at - beside.start) > needed
         }  # fmt: skip
         driver = usual_driver(speed_mps)
-        refused = {refusal_of_free_lane(driver, change, speed_mps=speed_mps, side=side) for side in sorted(sides)}
+        refused = {refusal_of_lane(driver, change, speed_mps=speed_mps, side=side) for side in sorted(sides)}
         self.starts.refusals.update(one for one in refused if one is not None and None not in refused)
         return None in refused

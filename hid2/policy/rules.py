@@ -121,8 +121,10 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
     return {name: float(value) for name, _, value in parts}
 
 
-def refusal_of_free_lane(driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left") -> Reason | None:
-    """Why a rule would not leave a slower leader for a free lane; None where it would.
+def refusal_of_lane(
+    driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left", front: Gap = OPEN, rear: Gap = OPEN
+) -> Reason | None:
+    """Why a rule would not leave a slower leader for the lane beside, free but for what is told; None: it would.
 
     It is asked at the rule's least speed or faster, at the end of its patience (`give_up_s`), behind a leader half as
     fast. SUMO, which LC2013 asks, is taken to agree.
@@ -133,7 +135,7 @@ def refusal_of_free_lane(driver: Driver, params: LaneChange, *, speed_mps: float
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
         remaining_m=params.min_remaining_m + _FREE.remaining_m,
-        own_front=Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v),
+        front=front, rear=rear, own_front=Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v),
         sumo=ASSUMED_ANSWER if params.rule == "LC2013" else None,
     )  # fmt: skip
     return rule_reason(view, params)

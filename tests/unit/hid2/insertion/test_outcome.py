@@ -10,6 +10,7 @@ from inserted import changing, driven, scene_on, start_on
 from hid2.agents import Policy
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, gaps_at_request, outcome_of, takes_gap
+from hid2.params import Config, LaneChange
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
@@ -53,9 +54,13 @@ def test_lane_change_is_done_with_its_times(scene: Scene) -> None:
     assert (found.source_lane, found.target_lane) == (1, 2)
 
 
-@pytest.mark.parametrize(("behind_m", "is_taken"), [(6.5, True), (35.0, False)])
-def test_gap_that_a_lane_change_takes_is_left_to_it(scene: Scene, behind_m: float, is_taken: bool) -> None:
-    """All at 10 m/s, boxes 4.5 m long: 2 m from bumper to bumper are less than the rule asks for, 30.5 m are not."""
+@pytest.mark.parametrize(
+    ("rule", "behind_m", "is_taken"),
+    [("paper", 6.5, True), ("paper", 35.0, False), ("MOBIL", 6.5, True), ("LC2013", 6.5, False)],
+)
+def test_gap_that_a_lane_change_takes_is_left_to_it(scene: Scene, rule: str, behind_m: float, is_taken: bool) -> None:
+    """All at 10 m/s, boxes 4.5 m long: 2 m from bumper to bumper are less than two rules ask for; SUMO alone says."""
+    scene = replace(scene, config=Config(lane_change=LaneChange(rule=rule)))
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
     kept = _exported(scene, changing(scene, start, np.full(110, 10.0), to=2, at_step=20, wanted_s=4.0))
     later = _exported(scene, driven(start_on(scene, (2,), 40.0 - behind_m, 10.0, number=1), np.full(110, 10.0)))

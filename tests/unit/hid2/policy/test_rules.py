@@ -173,9 +173,9 @@ def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> 
     By the IDM it gains 1.85 (2.2 + 2.3 + .5)^2 / 4.5^2 = 2.3 m/s2.
     """
     for rule in ("paper", "LC2013", "MOBIL"):
-        assert rules.refusal_of_free_lane(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
+        assert rules.refusal_of_lane(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
     never = LaneChange(rule="MOBIL", mobil_threshold_mps2=5.0, mobil_bias_mps2=0.0)
-    assert rules.refusal_of_free_lane(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
+    assert rules.refusal_of_lane(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
 
 
 def test_rules_unasked_want_an_advantage_unless_mandatory() -> None:
