@@ -25,8 +25,8 @@ from hid2.params import Config, Drivers, Request
 
 #: Requests of a scene, of which some find no start; SUMO's errors of perception, which have no field of their own.
 ASKED, NO_NOISE = 80, {"sigmaleader": 0.0, "sigmagap": 0.0}
-#: Least number of vehicles in so many scenes; and how far apart after so many steps, m, in the median and at 95 %. Asked
-#: for is .5 1.5, 1 4; found .000 .24, .006 .94. By other laws, for which EIDM is: IDM .22 1.7, .29 2.8, Krauss .7 4, 1 6.
+#: Least number of vehicles in so many scenes; how far apart after so many steps, m, in the median and at 95 %.
+#: Asked for is .5 1.5, 1 4; found .000 .24, .006 .94. SUMO driving by IDM .22 1.7, .29 2.8; Krauss .7 4, 1 6.
 ENOUGH = {1: 30, 14: 500}
 TARGETS_M = {50: (0.02, 0.6), 100: (0.05, 1.5)}
 
