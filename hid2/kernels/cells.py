@@ -31,13 +31,8 @@ def original_cells(
             if not present[a, t]:
                 continue
             x, y, angle = position[a, t, 0], position[a, t, 1], heading[a, t]
-            still = (
-                t > 0
-                and present[a, t - 1]
-                and x == position[a, t - 1, 0]
-                and y == position[a, t - 1, 1]
-                and angle == heading[a, t - 1]
-            )
+            still = t > 0 and present[a, t - 1] and angle == heading[a, t - 1]
+            still = still and x == position[a, t - 1, 0] and y == position[a, t - 1, 1]
             co, si = np.cos(angle), np.sin(angle)
             best_level, best_distance, best = 4, np.inf, -1
             for k in range(np.searchsorted(left_of, x - reach), cells):

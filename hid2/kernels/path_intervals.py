@@ -131,7 +131,7 @@ def intervals_on_path(
                 if begin < 0:
                     continue
             if spare > 0.0:
-                turned = abs((angle - last_angle + np.pi) % (2 * np.pi) - np.pi)
+                turned = abs(angle - last_angle)
                 if np.sqrt((x - last_x) ** 2 + (y - last_y) ** 2) + turned * (half_l + half_w) < spare:
                     continue
             moved = abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) if t > 0 else np.inf
