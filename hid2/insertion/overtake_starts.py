@@ -270,7 +270,7 @@ class OvertakeStarts:
         road = np.full((len(roads), max(one.size for one in roads)), np.inf)
         for n, one in enumerate(roads):
             road[n, : one.size] = one
-        low, high, mps = np.array([(one.low, one.high, one.mps) for one in leaders]).transpose(1, 2, 0)[..., drawn.leader]
+        low, high, mps = np.array([(o.low, o.high, o.mps) for o in leaders]).transpose(1, 2, 0)[..., drawn.leader]
         s, v, fits, looks = drawn.s, drawn.v, drawn.v > mps[0], scene.steps_in(_LOOKS_S)
         across, over = np.zeros((2, s.size))
         for now in range(0, scene.num_steps - looks, looks):

@@ -162,8 +162,7 @@ class Routes:
     @once
     def _beside(self, lane_id: int) -> dict[Side, int]:
         """The lanes beside that may be changed to."""
-        each = ((side, admissible_neighbor(self.scene, lane_id, side)) for side in SIDES)
-        return {side: lane for side, lane in each if lane is not None}
+        return {side: n for side in SIDES if (n := admissible_neighbor(self.scene, lane_id, side)) is not None}
 
     @once
     def _beside_m(self, own: Route, lane_id: int) -> float:

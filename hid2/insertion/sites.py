@@ -240,9 +240,8 @@ class InsertionSites:
         order = by_weight(weight, self.rng)
         clear = np.ones(rows.size, dtype=np.bool_)
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
-            usual, gap_m = DEFAULT_SIZES["vehicle"], CLEAR_GAP_M
             at_begin = scene.traffic.at(0).joined(self.starts.world.guard.inserted_known.at(0))
-            clear = clear_places(scene.boxes, rows, share, at_begin, box=usual, gap_m=gap_m)
+            clear = clear_places(scene.boxes, rows, share, at_begin, box=DEFAULT_SIZES["vehicle"], gap_m=CLEAR_GAP_M)
         order = order[np.lexsort((tier[order], inside[order]))]
         if promising and not inside.all():
             order = order[~inside[order]]

@@ -18,12 +18,10 @@ def original_cells(
 
     by_x (C,): cells in the order of their x; widest: largest half diagonal of any, m.
     """
-    agents, steps = present.shape
-    cells = center.shape[0]
+    (agents, steps), cells = present.shape, center.shape[0]
     sigma = np.zeros((steps, cells), dtype=np.uint8)
     found = np.full((agents, steps), -1, dtype=np.int64)
-    cosine, sine, left_of = np.cos(c_heading), np.sin(c_heading), center[by_x, 0]
-    cos_agrees = np.cos(agrees)
+    cosine, sine, left_of, cos_agrees = np.cos(c_heading), np.sin(c_heading), center[by_x, 0], np.cos(agrees)
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = np.hypot(half_l, half_w) + widest
