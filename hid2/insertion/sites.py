@@ -203,10 +203,8 @@ class InsertionSites:
 
     def _order(self, request: VehicleRequest, cell: Cell, wants: frozenset[Situation]) -> list[RouteOffer]:
         """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
-        offers = self.here.routes.offers(cell.lane_id)
-        weight = np.ones(len(offers))
-        if self.here.scene.config.request.sites == "promising":
-            weight = self.here.meetings.offer_weights(cell, request.policy, wants)
+        offers, promising = self.here.routes.offers(cell.lane_id), self.here.scene.config.request.sites == "promising"
+        weight = self.here.meetings.offer_weights(cell, request.policy, wants) if promising else np.ones(len(offers))
         if len(offers) == 1:
             return [one for one in offers if weight[0] > 0.0]
         order = [offers[row] for row in by_weight(weight, self.rng).tolist()]

@@ -78,7 +78,7 @@ def _foreseen(world: World, box: BoxSize, part: Rollout) -> Iterator[Situation]:
     gap_m = np.where(counts[leader], seen.lead_m, np.inf)
     at = meets_at(part.v, acceleration(part.s, steps, scene.step_s), gap_m)
     for one, name in _BY_ITSELF.items():
-        if lasts(at[name], LASTS_S[name], scene.step_s, np.zeros_like(steps), 1)[0]:
+        if at[name].any() and lasts(at[name], LASTS_S[name], scene.step_s, np.zeros_like(steps), 1)[0]:
             yield one
     met = scene.met_on(part.path, box, scene.lasting)
     seen_then = scene.future.present[met.agents]
