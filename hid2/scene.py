@@ -145,8 +145,9 @@ class Scene:
     @once
     def in_driving_width(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals of the recorded agents with boxes that reach into the width driven, without margins."""
-        wide = self.met_on(path, box, self.future)  # what touches no margin touches no box
-        near = replace(self.future.rows(wide.agents.tolist()), present=np.isfinite(wide.low))
+        wide = self.met_on(path, box, self.lasting)  # what touches no margin touches no box; the guard knows it, too
+        near = self.future.rows(wide.agents.tolist())
+        near = replace(near, present=near.present & np.isfinite(wide.low))
         found = look_along(path.line, near, box.length_m, box.width_m)
         return found._replace(agents=wide.agents[found.agents])
 

@@ -41,8 +41,9 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
 
     points: (N, 2) m, of a length above 0. Returns (M, 2) m, M >= 2.
     """
-    line = Polyline(points)
-    return line.point(np.linspace(0.0, line.length_m, max(1, int(np.ceil(line.length_m / step_m - 1e-9))) + 1))
+    s = arc_length(points)
+    at = np.linspace(0.0, s[-1], max(1, int(np.ceil(s[-1] / step_m - 1e-9))) + 1)
+    return np.stack([np.interp(at, s, column) for column in points.T], axis=-1)
 
 
 def differences(values: FloatArray, step: float) -> FloatArray:
@@ -116,10 +117,7 @@ class Polyline:
         s = np.asarray(s, dtype=np.float64)
         if s.size and (s.min() < 0.0 or s.max() > self.s[-1]):
             return self.xy(s, 0.0)
-        points = np.empty((*s.shape, 2))
-        points[..., 0] = np.interp(s, self.s, self.points[:, 0])
-        points[..., 1] = np.interp(s, self.s, self.points[:, 1])
-        return points
+        return np.stack([np.interp(s, self.s, column) for column in self.points.T], axis=-1)
 
     def heading(self, s: npt.ArrayLike) -> FloatArray:
         """Direction at arc lengths s, that of the segment ahead where two segments meet. (M,) m. Returns (M,) rad."""

@@ -156,7 +156,7 @@ class Fleet:
             own = steady - vehicle.jumped_m[-1]
         if context.jump is None:
             context.jump = Jump.onto(vehicle.path, own, steady - own)
-        jumped = float(context.jump.left_m(np.array(own)))
+        jumped = float(context.jump.left_m(own))
         self.move(row, own + jumped, speed_mps, jumped_m=jumped)
 
     def leave(self, row: int) -> None:

@@ -13,7 +13,6 @@ from hid2.agents import FloatArray, IntArray, Policy
 from hid2.conflicts.guard import A, S
 from hid2.kernels.steering import ACTS_MPS2, CAUSES, LIMIT_TOLERANCE_MPS, speed_limits
 from hid2.manoeuvre import Across, ManoeuvreDue, advance, foreseen_speeds
-from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, shifted_path
 from hid2.occupancy.traffic import BoolArray, Traffic
@@ -155,8 +154,7 @@ def _keep_time(fleet: Fleet, row: int, now: int) -> None:
     assert motion is not None
     since = len(vehicle.s) - 1 - (now - vehicle.shifts[-1].requested_step)
     tau = np.concatenate([[0.0], np.cumsum(motion.timing.gained(np.array(vehicle.v[since + 1 :]), step_s))])
-    share = lateral_share(tau[-1:], motion.timing.ramp)[0]
-    if tau[-1] >= 1.0 or abs(share - motion.share_at(vehicle.s[-1])) < _OFF_SHARE:
+    if tau[-1] >= 1.0 or motion.share_off(vehicle.s[-1], tau[-1]) < _OFF_SHARE:
         return
     driven = replace(motion, along_m=np.array(vehicle.s[since:]), tau=tau)
     foreseen = driven.foreseen(foreseen_speeds(vehicle, fleet.scene, now), step_s)

@@ -211,13 +211,18 @@ class InferredSignals:
                 waits[one][step[(lane == row) & (length_m[row] - s + ahead_m <= _QUEUE_M)]] = True
         return _Watched(comes_from, enters, waits)
 
+    @cached_property
+    def _row_of(self) -> dict[int, tuple[int, ...]]:
+        """Of each lane outside of intersections the lanes side by side, with itself."""
+        inside = {one for one, lane in self.graph.lanes.items() if lane.is_intersection}
+        return {lane: row for row in self.graph.rows(without=inside) for lane in row}
+
     @once
     def _approach(self, lane_id: int) -> _Approach | None:
         graph = self.graph
         if not graph.lanes[lane_id].is_intersection:
             return None
-        inside, before = {one for one, lane in graph.lanes.items() if lane.is_intersection}, graph.predecessors(lane_id)
-        lanes = {lane for row in graph.rows(without=inside) if not set(row).isdisjoint(before) for lane in row}
+        lanes = {lane for before in graph.predecessors(lane_id) for lane in self._row_of.get(before, ())}
         fan = {onward for lane in lanes for onward in graph.successors(lane) if graph.lanes[onward].is_intersection}
         return _Approach(tuple(sorted(lanes)), tuple(sorted(fan))) if lanes else None
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.kernels.trajectory import trailing
 from hid2.params import Config, Drivers
 
 # No tunables, to OFFSET_MAX_M: shapes of distributions.
@@ -130,15 +131,11 @@ def wandering(
     """(T,) m/s by which a desired speed wanders at every step (Ornstein-Uhlenbeck); at_least_mps: at the first one."""
     law = config.drivers
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
-    kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
-    wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps)]
-    at, left = wander[0], 1.0 - eased
+    kick = law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)
+    at = max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps)
     level = at + law.wander_sd_mps * float(rng.standard_normal())  # no vehicle begins at a constant speed
-    for kicked in kick[1:]:
-        level = kept * level + kicked
-        at = eased * at + left * level
-        wander.append(at)
-    return np.array(wander)
+    levels = trailing(level, np.full(num_steps - 1, kept), kick[1:])[1:]
+    return trailing(at, np.full(num_steps - 1, eased), (1.0 - eased) * levels)
 
 
 def free_speeds(driver: Driver, desired_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:

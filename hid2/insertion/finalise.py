@@ -161,12 +161,11 @@ def _placed(
     if isinstance(verdict, Reason):
         return verdict
     room_m, side = _passes(verdict.states, others)
-    for aside_m in _ASIDE_M:
-        if room_m >= _PASSES_M:
-            break
-        judged = _checked_alone(scene, _at(scene, vehicle, motion, own.shifted(-side * aside_m), off_m), others)
-        if not isinstance(judged, Reason) and (there_m := _passes(judged.states, others)[0]) > room_m:
-            verdict, room_m = judged, there_m
+    tried = (_at(scene, vehicle, motion, own.shifted(-side * by_m), off_m) for by_m in _ASIDE_M if room_m < _PASSES_M)
+    rooms = [(min(_passes(one.states, others)[0], _PASSES_M), one) for one in tried]
+    for there_m, one in sorted(rooms, key=lambda found: -found[0]):  # the least shift of those with the most room
+        if there_m > room_m and not isinstance(judged := _checked_alone(scene, one, others), Reason):
+            return judged
     return verdict
 
 

@@ -271,7 +271,7 @@ class Meetings:
         """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""
         before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + sum(LINE_GAP_M) / 2
         each = [(at - before_m, self.signals.red(lane)) for lane, at in self._lanes_from(lane_id, offer)]
-        found = [(at, red[self.looks[look:]]) for at, red in each if red is not None and red.any()]
+        found = [(at, red[self.looks[look:]]) for at, red in each if red is not None]
         red = np.array([red for _, red in found], dtype=np.bool_).reshape(-1, self.looks.size - look)
         return np.array([at for at, _ in found]), red
 

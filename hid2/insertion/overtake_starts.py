@@ -192,9 +192,9 @@ class OvertakeStarts:
             mps = rng.uniform(slowest_mps, fastest_mps)
             v = np.maximum(with_wander(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
             start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
-            s, one = start + scene.step_s * (np.cumsum(v) - v), replace(driver, desired_mps=mps)
-            if s[-1] < way.path.exit_m and not self._is_met(way.path, one, s, v):
-                yield _Leader(way, s - length_m, s + length_m, v, one)
+            s = start + scene.step_s * (np.cumsum(v) - v)
+            if s[-1] < way.path.exit_m and not self._is_met(way.path, driver, s, v):
+                yield _Leader(way, s - length_m, s + length_m, v, replace(driver, desired_mps=mps))
 
     def _on(self, path: DrivenPath) -> PathOccupancy:
         return self.starts.world.guard.known_on(path, _BOX)
@@ -270,20 +270,20 @@ class OvertakeStarts:
         road = np.full((len(roads), max(one.size for one in roads)), np.inf)
         for n, one in enumerate(roads):
             road[n, : one.size] = one
-        low, high, mps = np.array([(one.low, one.high, one.mps) for one in leaders]).transpose(1, 0, 2)[:, drawn.leader]
-        s, v, fits, looks = drawn.s, drawn.v, drawn.v > mps[:, 0], scene.steps_in(_LOOKS_S)
+        low, high, mps = np.array([(o.low, o.high, o.mps) for o in leaders]).transpose(1, 2, 0)[..., drawn.leader]
+        s, v, fits, looks = drawn.s, drawn.v, drawn.v > mps[0], scene.steps_in(_LOOKS_S)
         across, over = np.zeros((2, s.size))
         for now in range(0, scene.num_steps - looks, looks):
-            is_behind = low[:, now] - s > (config.conflict.ttc_min_s + _SPARE_S) * (v - mps[:, now])
+            is_behind = low[now] - s > (config.conflict.ttc_min_s + _SPARE_S) * (v - mps[now])
             fits &= ((across >= _CROSSED) | is_behind) & ((over >= 1.0) | (s < end))
-            star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - mps[:, now]) / np.sqrt(accel * decel))
-            follows, is_out = (star / np.maximum(low[:, now] - s, CLEAR_GAP_M)) ** 2, now * scene.step_s >= trigger_s
+            star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - mps[now]) / np.sqrt(accel * decel))
+            follows, is_out = (star / np.maximum(low[now] - s, CLEAR_GAP_M)) ** 2, now * scene.step_s >= trigger_s
             wanted = accel * (1.0 - (v / drawn.desired[:, now]) ** 4 - (0.0 if is_out else follows))
             faster = np.maximum(v + step_s * np.maximum(wanted, -_BRAKES_MPS2), 0.0)
             if is_out:
                 cell = np.minimum((s + shift_m) / TABLE_STEP_M, road.shape[1] - 1.0).astype(np.int64)
                 faster = np.minimum(faster, road[drawn.driver // _DRIVERS, cell])
-                returns = (over > 0.0) | ((across >= 1.0) & (s > high[:, now] + config.overtake.return_gap_m))
+                returns = (over > 0.0) | ((across >= 1.0) & (s > high[now] + config.overtake.return_gap_m))
                 across = across + np.minimum(v / out_mps, 1.0) * step_s / out_s
                 over = over + returns * np.minimum(v / back_mps, 1.0) * step_s / back_s
             s, v = s + 0.5 * step_s * (v + faster), faster

@@ -112,9 +112,8 @@ class Routes:
     @once
     def _lane_to_pass_on(self, lane_id: int, side: Side) -> int | None:
         """The lane beside that may be changed to, and back from, where neither of the two turns; None without."""
-        lanes, beside = self.scene.grid.graph.lanes, self._neighbor(lane_id, side)
-        back: Side = "left" if side == "right" else "right"
-        if beside is None or self._neighbor(beside, back) is None:
+        lanes, beside = self.scene.grid.graph.lanes, self._beside(lane_id).get(side)
+        if beside is None or ("left" if side == "right" else "right") not in self._beside(beside):
             return None
         return beside if lanes[lane_id].turn is lanes[beside].turn is TurnType.STRAIGHT else None
 
@@ -155,15 +154,15 @@ class Routes:
         beside = tuple(
             Beside(side, starts[row], ends[row], self._beside_m(route[row:], lane))
             for row in rows
-            for side in SIDES
-            if (lane := self._neighbor(route[row], side)) is not None
+            for side, lane in self._beside(route[row]).items()
         )
         junctions = tuple((at, to) for n, at, to in zip(route, starts, ends, strict=True) if lanes[n].is_intersection)
         return RouteOffer(route, starts[first], ends[-1], turns, beside, junctions)
 
     @once
-    def _neighbor(self, lane_id: int, side: Side) -> int | None:
-        return admissible_neighbor(self.scene, lane_id, side)
+    def _beside(self, lane_id: int) -> dict[Side, int]:
+        """The lanes beside that may be changed to."""
+        return {side: n for side in SIDES if (n := admissible_neighbor(self.scene, lane_id, side)) is not None}
 
     @once
     def _beside_m(self, own: Route, lane_id: int) -> float:

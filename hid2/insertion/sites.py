@@ -203,10 +203,8 @@ class InsertionSites:
 
     def _order(self, request: VehicleRequest, cell: Cell, wants: frozenset[Situation]) -> list[RouteOffer]:
         """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
-        offers = self.here.routes.offers(cell.lane_id)
-        weight = np.ones(len(offers))
-        if self.here.scene.config.request.sites == "promising":
-            weight = self.here.meetings.offer_weights(cell, request.policy, wants)
+        offers, promising = self.here.routes.offers(cell.lane_id), self.here.scene.config.request.sites == "promising"
+        weight = self.here.meetings.offer_weights(cell, request.policy, wants) if promising else np.ones(len(offers))
         if len(offers) == 1:
             return [one for one in offers if weight[0] > 0.0]
         order = [offers[row] for row in by_weight(weight, self.rng).tolist()]
@@ -240,9 +238,8 @@ class InsertionSites:
         order = by_weight(weight, self.rng)
         clear = np.ones(rows.size, dtype=np.bool_)
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
-            usual, gap_m = DEFAULT_SIZES["vehicle"], CLEAR_GAP_M
             at_begin = scene.traffic.at(0).joined(self.starts.world.guard.inserted_known.at(0))
-            clear = clear_places(scene.boxes, rows, share, at_begin, box=usual, gap_m=gap_m)
+            clear = clear_places(scene.boxes, rows, share, at_begin, box=DEFAULT_SIZES["vehicle"], gap_m=CLEAR_GAP_M)
         order = order[np.lexsort((tier[order], inside[order]))]
         if promising and not inside.all():
             order = order[~inside[order]]

@@ -78,12 +78,13 @@ def _foreseen(world: World, box: BoxSize, part: Rollout) -> Iterator[Situation]:
     gap_m = np.where(counts[leader], seen.lead_m, np.inf)
     at = meets_at(part.v, acceleration(part.s, steps, scene.step_s), gap_m)
     for one, name in _BY_ITSELF.items():
-        if lasts(at[name], LASTS_S[name], scene.step_s, np.zeros_like(steps), 1)[0]:
+        if at[name].any() and lasts(at[name], LASTS_S[name], scene.step_s, np.zeros_like(steps), 1)[0]:
             yield one
-    met = scene.met_on(part.path, box, scene.future)
-    crossing = met.crossing[:, : scene.num_steps] & counts[met.agents, None]
+    met = scene.met_on(part.path, box, scene.lasting)
+    seen_then = scene.future.present[met.agents]
+    crossing = (met.crossing & seen_then)[:, : scene.num_steps] & counts[met.agents, None]
     # one that comes onto the path, or leaves it, crosses none
-    for row in np.flatnonzero(crossing.any(axis=1) & ~met.same_direction.any(axis=1)).tolist():
+    for row in np.flatnonzero(crossing.any(axis=1) & ~(met.same_direction & seen_then).any(axis=1)).tolist():
         then = np.flatnonzero(crossing[row])
         on = (met.low[row, then, None] < part.s) & (part.s < met.high[row, then, None])
         if np.abs(then[:, None] - steps)[on].min(initial=scene.num_steps) < scene.steps_in(WITHIN_S):

@@ -233,12 +233,10 @@ def post_encroachment(
     """
     count = len(agents)
     bounds = np.empty((count, 4))
-    for k in range(count):
-        a = agents[k]
+    for k, a in enumerate(agents):
         bounds[k] = _bounds(position[first[a] : first[a + 1]], length[a])
     out, crossed = np.full((count, count), -1, dtype=np.int64), np.full((count, count, 2), -1, dtype=np.int64)
-    for p in range(count):
-        a = agents[p]
+    for p, a in enumerate(agents):
         of_a = slice(first[a], first[a + 1])
         for q in range(max(p + 1, first_row), count):
             if _never_nearer(bounds[p], bounds[q]) > 0.0:

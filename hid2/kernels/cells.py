@@ -18,12 +18,10 @@ def original_cells(
 
     by_x (C,): cells in the order of their x; widest: largest half diagonal of any, m.
     """
-    agents, steps = present.shape
-    cells = center.shape[0]
+    (agents, steps), cells = present.shape, center.shape[0]
     sigma = np.zeros((steps, cells), dtype=np.uint8)
     found = np.full((agents, steps), -1, dtype=np.int64)
-    cosine, sine, left_of = np.cos(c_heading), np.sin(c_heading), center[by_x, 0]
-    cos_agrees = np.cos(agrees)
+    cosine, sine, left_of, cos_agrees = np.cos(c_heading), np.sin(c_heading), center[by_x, 0], np.cos(agrees)
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = np.hypot(half_l, half_w) + widest
@@ -31,13 +29,8 @@ def original_cells(
             if not present[a, t]:
                 continue
             x, y, angle = position[a, t, 0], position[a, t, 1], heading[a, t]
-            still = (
-                t > 0
-                and present[a, t - 1]
-                and x == position[a, t - 1, 0]
-                and y == position[a, t - 1, 1]
-                and angle == heading[a, t - 1]
-            )
+            still = t > 0 and present[a, t - 1] and angle == heading[a, t - 1]
+            still = still and x == position[a, t - 1, 0] and y == position[a, t - 1, 1]
             co, si = np.cos(angle), np.sin(angle)
             best_level, best_distance, best = 4, np.inf, -1
             for k in range(np.searchsorted(left_of, x - reach), cells):

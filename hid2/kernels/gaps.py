@@ -248,10 +248,7 @@ def shown_ahead(
     for agent in range(lengths.size):
         if behind[agent] < 0:
             continue
-        if agent < count:
-            x, y = recorded[agent, step, 0], recorded[agent, step, 1]
-        else:
-            x, y = kept[agent - count, step, 0], kept[agent - count, step, 1]
+        x, y = recorded[agent, step] if agent < count else kept[agent - count, step]
         if not _is_beside(agent, x, y, lengths[agent], centre, own_lengths, low, agents, first, step):
             found[size] = agent
             size += 1

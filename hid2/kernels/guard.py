@@ -134,18 +134,19 @@ def _first_conflict(
     closed: BoolArray, swept: FloatArray, rows: IntArray, fleet: FloatArray, agents: IntArray, goes_first: BoolArray,
     t: int, start: tuple[float, float, float], desired_mps: float, road: FloatArray, last: int, step_s: float,
     driver: tuple[float, float, float, float], brakes: FloatArray, row: int,
-) -> tuple[int, bool, bool, int, float]:  # fmt: skip
+) -> tuple[int, bool, bool, int, float, bool]:  # fmt: skip
     """Steps from t to the first conflict of motion with one of `brakes`, -1 for none; arguments as `needed_braking`.
 
     One long loop: in functions of its own, which numba does not inline, a rollout takes up to 1.9 times as long.
     agents: rows of `low` that matter; goes_first (G,): whether each of `rows` does. Returns also whether the conflict
-    is with a leader, whether a known agent comes up from behind, and the generated leader and the gap to it, as there.
+    is with a leader, whether a known agent comes up from behind, the generated leader and the gap to it, as there, and
+    whether harder braking than that of the row would be another motion.
     """
     g_low, g_high, g_cos, _ = swept
     s, v, a_cmd = start
     tau, accel, decel, min_gap = driver
     margin, hardest, dt = PET_MARGIN_M, _HARDEST_RATIO * decel, STRIDE * step_s
-    struck, leader, leader_gap = False, -1, np.inf
+    struck, leader, leader_gap, is_bound = False, -1, np.inf, row == 0
     for k in range(last + 1):
         now, ahead_s = min(t + k * STRIDE, low.shape[1] - 1), k * STRIDE * step_s
         gap_least, closing, met, seen, is_leader = np.inf, 0.0, False, False, False
@@ -164,7 +165,7 @@ def _first_conflict(
                 gap_least, closing = gap, v - along[a, now]
                 seen = same_direction[a, t] and gap_to(low[a, t], high[a, t], start[0])[1]
         if met:
-            return k * STRIDE, is_leader, struck, leader, leader_gap
+            return k * STRIDE, is_leader, struck, leader, leader_gap, is_bound
         for g in range(rows.size):
             j = rows[g]
             at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s) / SWEPT_STEP_M)
@@ -179,7 +180,7 @@ def _first_conflict(
                     if k == 0:
                         leader, leader_gap = j, gap
             elif lo - 2 * margin < s < hi + 2 * margin and k > 0 and goes_first[g]:  # both move between looks
-                return k * STRIDE, False, struck, leader, leader_gap
+                return k * STRIDE, False, struck, leader, leader_gap, is_bound
         wanted = min(desired_mps, road[min(int(s / TABLE_STEP_M), road.size - 1)])
         a_next = max(-decel, accel * (1.0 - (v / max(wanted, 0.1)) ** 4))
         if gap_least < 1e3:
@@ -189,7 +190,7 @@ def _first_conflict(
             most = max(hardest, brakes[-1]) if seen else hardest
             if a_next < -most and k > 0 and not (seen and start[1] < 0.1):
                 # one that appears ahead, or stands, asks for more than a driver would brake
-                return k * STRIDE, True, struck, leader, leader_gap
+                return k * STRIDE, True, struck, leader, leader_gap, is_bound
             a_next = max(a_next, -most)
         line = _line_ahead(stop_m, closed, s, v, now, decel)
         if line >= 0:
@@ -198,8 +199,9 @@ def _first_conflict(
             a_cmd = max(min(a_cmd, 0.0) - _PREDICTED_JERK_MPS3 * STRIDE * step_s, -brakes[row])
             a_next = min(a_next, a_cmd)
         v_next = max(0.0, v + a_next * dt)
+        is_bound |= a_cmd == -brakes[row] and v_next > 0.0
         s, v = s + 0.5 * (v + v_next) * dt, v_next
-    return -1, False, struck, leader, leader_gap
+    return -1, False, struck, leader, leader_gap, is_bound
 
 
 @kernel(
@@ -225,12 +227,13 @@ def needed_braking(
     goes_first = np.empty(rows.size, dtype=np.bool_)
     for g in range(rows.size):
         goes_first[g] = _has_priority(swept[0, g], swept[3, g], fleet, rows[g], own, start[0])
-    best, best_step, free_step, leader, leader_gap, run_into = 0, 0, -1, -1, np.inf, False
+    best, best_step, free_step, leader, leader_gap, run_into, is_bound = 0, 0, -1, -1, np.inf, False, True
     for row in range(brakes.size):
-        hit, behind_leader, struck, ahead, gap = _first_conflict(
-            low, high, along, same_direction, stop_m, closed, swept, rows, fleet, agents, goes_first, t, start,
-            desired_mps, road, last, step_s, driver, brakes, row,
-        )  # fmt: skip
+        if is_bound:
+            hit, behind_leader, struck, ahead, gap, is_bound = _first_conflict(
+                low, high, along, same_direction, stop_m, closed, swept, rows, fleet, agents, goes_first, t, start,
+                desired_mps, road, last, step_s, driver, brakes, row,
+            )  # fmt: skip
         if row == 0:
             free_step, leader, leader_gap = hit, ahead, gap
         if hit < 0:

@@ -71,8 +71,7 @@ def lane_candidates(
     """
     rows = len(position)
     lane = np.full((rows, _MOST), -1, dtype=np.int64)
-    at_m = np.zeros((rows, _MOST))
-    at_d = np.zeros((rows, _MOST))
+    at_m, at_d = np.zeros((rows, _MOST)), np.zeros((rows, _MOST))
     cost = np.full((rows, _MOST), math.inf)
     count = np.zeros(rows, dtype=np.int64)
     for i in range(rows):

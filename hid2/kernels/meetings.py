@@ -114,9 +114,9 @@ def met_on_route(
         leader[n] = number[agent] if agent >= 0 else -1
         for place in range(cells.size):
             arrives = (middle[place] - middle[n]) / pace
-            if 0.0 < arrives < held_s:
+            if 0.0 < arrives < held_s and not crosses[n]:
                 apart = np.inf
                 for k in range(crossed_from[cells[place]], crossed_from[cells[place] + 1]):
                     apart = min(apart, abs(arrives - crossed_s[k]))
-                crosses[n] = crosses[n] or crossed_after < apart < crossed_within
+                crosses[n] = crossed_after < apart < crossed_within
     return near, near_last, leader, is_run_into, crosses, is_held

@@ -131,24 +131,18 @@ def intervals_on_path(
                 if begin < 0:
                     continue
             if spare > 0.0:
-                turned = abs((angle - last_angle + np.pi) % (2 * np.pi) - np.pi)
+                turned = abs(angle - last_angle)
                 if np.sqrt((x - last_x) ** 2 + (y - last_y) ** 2) + turned * (half_l + half_w) < spare:
                     continue
-            if (
-                t > 0
-                and present[a, t - 1]
-                and x == position[a, t - 1, 0]
-                and y == position[a, t - 1, 1]
-                and angle == other_heading[a, t - 1]
-            ):
+            moved = abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) if t > 0 else np.inf
+            if moved == 0.0 and present[a, t - 1] and angle == other_heading[a, t - 1]:
                 low[k, t], high[k, t] = low[k, t - 1], high[k, t - 1]
                 same_direction[k, t], crossing[k, t] = same_direction[k, t - 1], crossing[k, t - 1]
                 if nearest >= 0:
                     along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
                 continue
             # between an end of the range and the first point within reach nothing needs to be looked at
-            jitters = t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1
-            far = reach if jitters else reach - _WIDER_M
+            far = reach if moved < 0.1 else reach - _WIDER_M
             leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - far) / TABLE_STEP_M)
             begin += min(max(leap, 0), end - begin - 1)
             leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - far) / TABLE_STEP_M)
@@ -158,7 +152,7 @@ def intervals_on_path(
             first, last = _touched(near)
             if first < 0:
                 nearest = -1
-                if jitters:
+                if moved < 0.1:
                     spare, last_x, last_y, last_angle = min(near.min(), _WIDER_M) - 1e-6, x, y, angle
                 continue
             nearest = _nearest(points, begin, end, x, y)

@@ -91,8 +91,7 @@ def roll(
     """
     first, last = span
     s_at, v_at = np.empty(last - first + 1), np.empty(last - first + 1)
-    fleet = np.zeros((1, 5))
-    fleet[0, 0], fleet[0, 1], fleet[0, 2], fleet[0, 4] = start[0], start[1], start[2], 1.0
+    fleet = np.array([[start[0], start[1], start[2], 0.0, 1.0]])
     others, swept = np.zeros(0, dtype=np.int64), np.zeros((4, 0, 1))
     s_at[0], v_at[0] = start[0], start[1]
     yields, state = False, np.empty(DRIVER_STATE)

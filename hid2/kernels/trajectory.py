@@ -1,4 +1,4 @@
-"""The first box that a trajectory meets."""
+"""Trajectories: the first box that one meets, and values that trail others from step to step."""
 
 import numpy as np
 
@@ -44,3 +44,13 @@ def first_overlapping(
 def _turned(before: float, after: float) -> float:
     """From one heading of a box to another, the short way round: half a turn makes the same box."""
     return (after - before + np.pi / 2) % np.pi - np.pi / 2
+
+
+@kernel("(f8, f8[::1], f8[::1])")
+def trailing(at: float, kept: FloatArray, gained: FloatArray) -> FloatArray:
+    """Values (K + 1,) from one on: at each step a share kept (K,) of the one before, and what is gained (K,)."""
+    found = np.empty(gained.size + 1)
+    found[0] = at
+    for k in range(gained.size):
+        found[k + 1] = kept[k] * found[k] + gained[k]
+    return found

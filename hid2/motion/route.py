@@ -153,9 +153,9 @@ class Jump(NamedTuple):
         end = path.lateral_spans[-1].end if path.lateral_spans else own + 1.0
         return cls(jump_m, own, max(own + abs(jump_m) / _GIVEN_BACK, end))
 
-    def left_m(self, own: FloatArray) -> FloatArray:
+    def left_m(self, own: FloatArray | float) -> FloatArray:
         """How far the vehicle is ahead of SUMO's, m, where that is at arc lengths (K,) m."""
-        return self.jump_m * np.maximum(self.until - own, 0.0) / (self.until - self.since)
+        return np.asarray(self.jump_m * np.maximum(self.until - own, 0.0) / (self.until - self.since))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -180,10 +180,10 @@ class LateralMotion:
             self, along_m=np.concatenate([self.along_m, along[:count]]), tau=np.concatenate([self.tau, tau[:count]])
         )
 
-    def share_at(self, s: float) -> float:
-        """Of the way across, at an arc length, m."""
-        tau = np.interp([s], self.along_m, self.tau)
-        return float(lateral_share(tau, self.timing.ramp)[0])
+    def share_off(self, s: float, tau: float) -> float:
+        """Share of the way across by which the motion is off at an arc length, m, from a driver with another clock."""
+        own, laid = lateral_share(np.array([tau, np.interp(s, self.along_m, self.tau)]), self.timing.ramp)
+        return abs(float(own - laid))
 
 
 def route_points(graph: LaneGraph, route: Route) -> FloatArray:
@@ -266,7 +266,10 @@ def is_simple(graph: LaneGraph, route: Route) -> bool:
 
 def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
     """Lanes that follow a lane, or come before it: those preferred, then those that turn least."""
-    return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n)))
+    found = list(onward)
+    if len(found) > 1:  # of most lanes there is one
+        found.sort(key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n))
+    return tuple(found)
 
 
 def routes_from(

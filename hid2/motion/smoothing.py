@@ -11,6 +11,7 @@ import numpy as np
 
 from hid2.agents import REAR_AXLE_SHARE, FloatArray
 from hid2.drivers.driver import LaneOffset
+from hid2.kernels.trajectory import trailing
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from netconvert.geometry import wrap_angle
 
@@ -100,9 +101,7 @@ def _rolling(course: FloatArray, position: FloatArray, axle_m: float) -> FloatAr
     moved_m = np.maximum(np.hypot(*np.diff(position, axis=0).T), _STANDS_M)
     turned, kept = np.diff(course), np.exp(-moved_m / axle_m)
     settles = axle_m / moved_m * turned
-    trails = [float(settles[:1].sum())]
-    for share, settled in zip(kept.tolist(), settles.tolist(), strict=True):
-        trails.append(share * trails[-1] + (1.0 - share) * settled)
+    trails = trailing(float(settles[:1].sum()), kept, (1.0 - kept) * settles)
     return np.asarray(wrap_angle(course - trails), dtype=np.float64)
 
 

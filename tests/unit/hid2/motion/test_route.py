@@ -189,8 +189,8 @@ def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion() -> None:
     assert motion.tau.size == motion.along_m.size == 2 + 2 + 34
     assert motion.tau[-2] < 1.0 <= motion.tau[-1]
     assert motion.along_m[-1] == pytest.approx(60.0 + 4.0 + 0.8 + 34.0)
-    assert motion.share_at(60.0) == 0.0
-    assert motion.share_at(99.0) == 1.0
+    assert (motion.share_off(60.0, 0.0), motion.share_off(60.0, 1.0)) == (0.0, 1.0)
+    assert (motion.share_off(99.0, 0.0), motion.share_off(99.0, 1.0)) == (1.0, 0.0)
 
 
 def test_second_shift_leaves_the_first_as_it_is_and_each_lane_is_followed_from_its_beginning_on() -> None:
