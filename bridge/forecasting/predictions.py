@@ -86,7 +86,7 @@ def score_predictions(
     """
     first: dict[str, Path] = {}
     left_out = [
-        f"{folder}: same scene as {there}, which is scored"
+        f"{folder}: same scene as {there}, which is taken"
         for folder in find_scenarios(out)
         if (there := first.setdefault(source_id(folder), folder)) is not folder
     ]
@@ -103,11 +103,11 @@ def score_predictions(
     )
     scored, failed = sorted_out(each)
     rows = [row for own, _ in scored for row in own]
-    left_out += [said for _, said in failed] + [said for _, own in scored for said in own]
+    left_out = [said for _, said in failed] + [said for _, own in scored for said in own] + left_out
     left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(first))]
     if not rows:
         first_said = next((said for said in left_out if not said.endswith(": no forecast")), left_out[0])
-        raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {first_said}")
+        raise ScenarioError(f"{out}: nothing to score by {predictions}, first of {len(left_out)} reasons: {first_said}")
     scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
     if report_dir is not None:
         write_rows(report_dir / "predictions.csv", SCORE_COLUMNS, rows)
@@ -118,13 +118,14 @@ def score_predictions(
 
 def read_forecasts(path: Path) -> Forecasts:
     """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that is not finite."""
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}")
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # values may be anything until they have been looked at
             forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}") from None
     except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
-        said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
+        said = "no column " if isinstance(error, KeyError) else ""
+        said += str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
         raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
     table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
     rank = table.groupby(["scenario_id", "track_id"]).cumcount()
@@ -137,11 +138,11 @@ def read_forecasts(path: Path) -> Forecasts:
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():
-            where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))}"
+            where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))} by probability"
             raise ScenarioError(f"{where}: probability {probabilities[outside][0]}, expected 0 to 1")
         for track_id, modes in by_track.items():
             for mode, step, axis in np.argwhere(~np.isfinite(modes)).tolist():
-                where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode}, step {step}"
+                where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode} by probability, step {step}"
                 raise ScenarioError(
                     f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a finite number; "
                     "leave the track out to score the others"
@@ -330,19 +331,18 @@ def _bootstrap(
 
 
 def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
-    """Files by model of "FILE" or "NAME=FILE", as given; a name that comes again adds a seed. Errors: ConfigError."""
+    """Files by model of "FILE" (called by its path where that alone tells it) or "NAME=FILE". Errors: ConfigError."""
     models: dict[str, list[Path]] = {}
-    for text in texts:
-        name, separator, place = text.partition("=")
-        if not separator or Path(text).is_file():
-            name, place = (Path(text).stem if texts.count(text) == 1 else text), text
-        path = Path(place)
+    given = [("", text) if text.find("=") < 1 or Path(text).is_file() else text.split("=", 1) for text in texts]
+    names = [name or Path(place).stem for name, place in given]
+    for text, (own, place), name in zip(texts, given, names, strict=True):
+        path, files = Path(place), models.setdefault(name if own or names.count(name) == 1 else text, [])
         if not path.is_file():
             wrong = "a baseline is scored alone" if text in BASELINES else "no such file"
             raise ConfigError(f"--predictions {text}: {wrong}; expected FILE or NAME=FILE to compare")
-        if path in models.get(name, []):
+        if any(path.samefile(other) for other in files):
             raise ConfigError(f"--predictions {text}: given twice; give each file once")
-        models.setdefault(name, []).append(path)
+        files.append(path)
     return models
 
 
@@ -363,7 +363,7 @@ def compare_predictions(
         for file in files:
             scores, reasons = score_predictions(scenes, predictions=file, jobs=jobs, on_scene=on_scene)
             runs.setdefault(name, []).append(scores)
-            left_out += [f"{name}: {reason}" for reason in reasons]
+            left_out += [f"{name}, {file}: {reason}" for reason in reasons]
     first, *others = runs
     found = differences_of([(name, first) for name in others], runs, bands(bounds), sources_of(scenes), Forecasting())
     if not any(difference.tracks for difference in found):
