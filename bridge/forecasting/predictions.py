@@ -117,17 +117,19 @@ def score_predictions(
 
 
 def read_forecasts(path: Path) -> Forecasts:
-    """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that is not finite."""
+    """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that cannot be."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}")
     try:
+        table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
+        if lacking := int(table.isna().any(axis=1).sum()):  # av2 leaves them out
+            raise ValueError(f"{lacking} rows without scenario_id, track_id or probability")
         with np.errstate(over="ignore", invalid="ignore"):  # values may be anything until they have been looked at
-            forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
+            read = ChallengeSubmission.from_parquet(path).predictions
+        forecasts = {name: (p, {one: np.asarray(m, float) for one, m in by.items()}) for name, (p, by) in read.items()}
     except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
-        said = "no column " if isinstance(error, KeyError) else ""
-        said += str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
+        said = ("no column " if isinstance(error, KeyError) else "") + str(error).split("\n")[0].split(". ")[0]
         raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
-    table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
     rank = table.groupby(["scenario_id", "track_id"]).cumcount()
     each = table.groupby(["scenario_id", rank])["probability"]  # av2 keeps those of one track
     for row in table[each.transform("max") - each.transform("min") > 1e-6].itertuples():
@@ -138,13 +140,12 @@ def read_forecasts(path: Path) -> Forecasts:
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():
-            where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))} by probability"
-            raise ScenarioError(f"{where}: probability {probabilities[outside][0]}, expected 0 to 1")
+            raise ScenarioError(f"{path}: {scenario_id}: probability {probabilities[outside][0]}, expected 0 to 1")
         for track_id, modes in by_track.items():
-            for mode, step, axis in np.argwhere(~np.isfinite(modes)).tolist():
+            for mode, step, axis in np.argwhere(~(np.abs(modes) < 1e9)).tolist():
                 where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode} by probability, step {step}"
                 raise ScenarioError(
-                    f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a finite number; "
+                    f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a number below 1e9; "
                     "leave the track out to score the others"
                 )
     return forecasts
@@ -197,8 +198,7 @@ def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -
     order = np.argsort(-np.asarray(probabilities), kind="stable")
     tracks = {track.track_id: track for track in scene.tracks}
     observed = sum(scene.last_observed in track.timesteps for track in scene.tracks)
-    scores, reasons = [], []
-    wanted = _future_steps(scene)
+    scores, reasons, wanted = [], [], _future_steps(scene)
     for track_id, modes in sorted(by_track.items()):
         track = tracks.get(str(track_id))
         future = np.empty((0, 2)) if track is None else track.position[track.timesteps > scene.last_observed]

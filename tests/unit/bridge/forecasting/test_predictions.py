@@ -83,31 +83,34 @@ def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):
         assert (found.agents, found.agents_observed) == (len(scenario.tracks), observed)
 
 
-def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_path):
+def test_a_forecast_that_is_not_finite_or_nowhere_near_is_named_and_refused(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["arterial"])
-    truth = focal_future(scenario)
-    broken = truth.copy()
-    broken[12, 1] = np.inf
-    path = submission(scenario, [broken, truth], [0.3, 0.7], tmp_path / "f.parquet")
-    where = f"{scenario.scenario_id}, track {scenario.focal_track_id}, mode 1 by probability, step 12: y is inf"
-    with pytest.raises(ScenarioError, match=re.escape(where)):
-        score_predictions(data_scenes["arterial"], predictions=path)
+    truth, broken = focal_future(scenario), focal_future(scenario).copy()
+    for value in (np.nan, 1e9):
+        broken[12, 1] = value
+        path = submission(scenario, [broken, truth], [0.3, 0.7], tmp_path / "f.parquet")
+        where = f"{scenario.scenario_id}, track {scenario.focal_track_id}, mode 1 by probability, step 12: y is {value}"
+        with pytest.raises(ScenarioError, match=re.escape(where)):
+            score_predictions(data_scenes["arterial"], predictions=path)
 
 
-def test_tracks_of_a_scenario_with_probabilities_of_their_own_are_refused(data_scenes, tmp_path):
+def test_tracks_of_a_scenario_with_probabilities_of_their_own_or_without_an_id_are_refused(data_scenes, tmp_path):
     """av2 reads one track's for all: brier-minFDE of the other would be wrong. The order of modes may differ."""
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     by_track = {scenario.focal_track_id: np.stack([truth, truth]), "AV": np.stack([truth, truth])}
     path = write_forecasts({scenario.scenario_id: (np.array([0.4, 0.6]), by_track)}, tmp_path / "f.parquet")
     rows = pd.read_parquet(path)
-    for shares, differ in (((0.4, 0.6, 0.6, 0.4), False), ((0.4, 0.6, 0.3, 0.7), True)):
-        rows.assign(probability=shares).to_parquet(path)
-        if differ:
-            with pytest.raises(ScenarioError, match=f"{scenario.scenario_id}, track .*: probability 0.3, expected"):
-                read_forecasts(path)
-        else:
-            assert list(read_forecasts(path)) == [scenario.scenario_id]
+    rows.assign(probability=(0.4, 0.6, 0.6, 0.4)).to_parquet(path)
+    assert list(read_forecasts(path)) == [scenario.scenario_id]
+    for wrong, said in (
+        ({"probability": (0.4, 0.6, 0.3, 0.7)}, f"{scenario.scenario_id}, track .*: probability 0.3, expected"),
+        ({"track_id": None}, "4 rows without scenario_id, track_id or probability"),
+        ({"predicted_trajectory_y": [["a"] * 60] * 4}, "could not convert string to float"),
+    ):
+        rows.assign(**wrong).to_parquet(path)
+        with pytest.raises((ConfigError, ScenarioError), match=said):
+            read_forecasts(path)
 
 
 def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
@@ -176,10 +179,8 @@ def test_what_cannot_be_scored_is_told_and_so_are_fewer_modes(data_scenes, data_
     with pytest.raises(ConfigError, match="not a forecast file") as said:
         read_forecasts(tmp_path / "bad.parquet")
     assert len(str(said.value)) < len(str(tmp_path)) + 150  # pyarrow's own reason goes on for three times as much
-    pd.DataFrame({"scenario_id": ["a"]}).to_parquet(tmp_path / "wrong.parquet")
-    with pytest.raises(ConfigError, match=r"not a forecast file .*no column 'probability'"):
-        read_forecasts(tmp_path / "wrong.parquet")
-    with pytest.raises(ConfigError, match="not a forecast file"):
+    pd.DataFrame({"scenario_id": ["a"], "track_id": "b", "probability": 1.0}).to_parquet(tmp_path / "wrong.parquet")
+    with pytest.raises(ConfigError, match=r"not a forecast file .*\(no column 'predicted_trajectory_x'"):
         score_predictions(data_root, predictions=tmp_path / "wrong.parquet", report_dir=tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
@@ -236,8 +237,7 @@ def test_a_difference_is_over_pairs():
     mine = [[score(f"s{n}", level - 0.1) for n, level in enumerate(levels)]]
     theirs = [[score(f"s{n}", level) for n, level in enumerate(levels)]]
     found = compared(mine, theirs)
-    assert found.difference == pytest.approx(-0.1)
-    assert (found.low, found.high) == (pytest.approx(-0.1), pytest.approx(-0.1))
+    assert (found.difference, found.low, found.high) == pytest.approx((-0.1, -0.1, -0.1))
     assert (found.tracks, found.sources, found.seeds) == (40, 40, (1, 1))
 
 
