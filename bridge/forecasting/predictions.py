@@ -57,7 +57,6 @@ SCORE_COLUMNS = ("scenario_id", "track_id", "agents", "agents_observed", "k", *M
 _HISTORY = 5
 #: Normal quantiles of a two-sided test at 5 %, and of a power of 80 %.
 _Z_TEST, _Z_POWER = 1.959964, 0.841621
-
 #: Scenes per task: about as many as take the time that a process needs to begin.
 _CHUNK = 128
 
@@ -219,9 +218,8 @@ def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -
 
 def bands(bounds: Sequence[int]) -> dict[str, str]:
     """Queries of scores: all scenes, those of more tracks than each bound, and of more at the observation's end."""
-    in_all = {f"more than {bound}": f"agents > {bound}" for bound in bounds}
     observed = {f"more than {bound} at the observation's end": f"agents_observed > {bound}" for bound in bounds}
-    return {"all scenes": "agents > 0"} | in_all | observed
+    return {"all scenes": "agents > 0"} | {f"more than {bound}": f"agents > {bound}" for bound in bounds} | observed
 
 
 TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
@@ -282,8 +280,7 @@ def differences_of(
         values, source = _aligned([mine, theirs], source_of, metric)
         estimate, se = _bootstrap(values, source, params, metric)
         detectable = (_Z_TEST + _Z_POWER) * se if se else None
-        counts = len(source), len(np.unique(source))
-        seeds = len(mine), len(theirs)
+        counts, seeds = (len(source), len(np.unique(source))), (len(mine), len(theirs))
         found.append(Difference(name, other, called, metric, *estimate, se, *counts, detectable, seeds))
     return found
 
@@ -376,10 +373,11 @@ def compare_predictions(
 
 def sources_of(scenes: Path) -> dict[str, str]:
     """The recorded scene behind each generated one below a folder, by scenario id."""
-    each = ((source_id(folder), generated_sidecar(folder)) for folder in find_scenarios(scenes))
+    folders = find_scenarios(scenes)
+    each = ((source_id(folder), generated_sidecar(folder)) for folder in folders)
     found = {name: sidecar.source_scenario_id for name, sidecar in each if sidecar is not None}
-    for root in (scenes, scenes.parent):
-        found |= {name: origin["source_id"] for name, origin in origins_of(root).items()}
+    for root in dict.fromkeys(root for folder in folders for root in folder.absolute().parents[1:3]):  # above raw/ too
+        found |= origins_of(root)
     return found
 
 
