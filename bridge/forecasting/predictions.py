@@ -23,7 +23,7 @@ from bridge.files import beside, make_folder, write_rows
 from bridge.forecasting.compose import origins_of
 from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
-from bridge.recordings.folders import source_id
+from bridge.recordings.folders import SPLITS, source_id
 from bridge.recordings.recording import Rows
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, read_rows
 from bridge.recordings.sources import find_scenarios
@@ -376,7 +376,7 @@ def sources_of(scenes: Path) -> dict[str, str]:
     folders = find_scenarios(scenes)
     each = ((source_id(folder), generated_sidecar(folder)) for folder in folders)
     found = {name: sidecar.source_scenario_id for name, sidecar in each if sidecar is not None}
-    for root in dict.fromkeys(root for folder in folders for root in folder.absolute().parents[1:3]):  # above raw/ too
+    for root in dict.fromkeys(up.parent for one in folders for up in one.absolute().parents[:2] if up.name in SPLITS):
         found |= origins_of(root)
     return found
 
