@@ -309,17 +309,17 @@ def _score(out: Path, scored: Scored, report: Path, activity: Activity, *, jobs:
             out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
         table = (found[0]._fields, found) if as_json else (predictions.HEAD, predictions.rows_of(found))
-        title = f"{len(models)} models"
+        title, page = f"{len(models)} models", "comparison.html"
     else:
+        file = files[0] if Path(files[0]).is_file() else files[0].partition("=")[2] or files[0]  # NAME=FILE
         scores, left_out = predictions.score_predictions(
-            out, predictions=files[0], report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
+            out, predictions=file, report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
         rows = predictions.band_rows(scores, bounds)
         table = predictions.TABLE_HEAD, rows if as_json else predictions.shown(rows)
-        title = f"{len(scores)} scores"
+        title, page = f"{len(scores)} scores", "predictions.html"
     _tell_left_out("not scored", left_out, activity)
     activity.table(title, *table, as_json=as_json)
-    page = "comparison.html" if len(files) > 1 else "predictions.html"
     activity.result(*(() if as_json else (report / page,)))
     return bool(left_out)
 

@@ -300,7 +300,7 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: OnDone = None) -> list[L
     facts, unread = facts_of_scenes(everything, jobs=jobs, on_scene=on_scene)
     if unread:
         raise ScenarioError(f"{root}: {len(unread)} scenes cannot be read, the first: {unread[0]}")
-    source_of = {name: origin["source_id"] for place in folders for name, origin in origins_of(place).items()}
+    source_of = {name: source for place in folders for name, source in origins_of(place).items()}
     facts = [fact._replace(source_id=source_of.get(fact.scenario_id, fact.source_id)) for fact in facts]
     row_of = {fact.folder: row for row, fact in enumerate(facts)}
     found: dict[Path, Leak] = {}
@@ -317,11 +317,14 @@ def _roots_in(root: Path) -> list[Path]:
     return [child for child in children if any((child / split).is_dir() for split in SPLITS)]
 
 
-def origins_of(root: Path) -> dict[str, dict[str, str]]:
-    """Rows of origins.csv of a data-set root, by scenario id; empty where there is none."""
+def origins_of(root: Path) -> dict[str, str]:
+    """Recorded scene by scenario id, of a data-set root's origins.csv; empty without one. Errors: ScenarioError."""
     path = root / ORIGINS
     if not path.is_file():
         return {}
-    with path.open(newline="", encoding="utf-8") as stream:
-        rows = ({key: untabled(value) for key, value in row.items()} for row in csv.DictReader(stream))
-        return {row["scenario_id"]: row for row in rows}
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        return {untabled(row["scenario_id"]): untabled(row["source_id"]) for row in rows}
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:  # damaged, or another program's
+        raise ScenarioError(f"{path}: {error!r:.99}, expected columns scenario_id, source_id; compose anew") from error

@@ -23,7 +23,7 @@ from bridge.files import beside, make_folder, write_rows
 from bridge.forecasting.compose import origins_of
 from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
-from bridge.recordings.folders import source_id
+from bridge.recordings.folders import SPLITS, source_id
 from bridge.recordings.recording import Rows
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, read_rows
 from bridge.recordings.sources import find_scenarios
@@ -57,7 +57,6 @@ SCORE_COLUMNS = ("scenario_id", "track_id", "agents", "agents_observed", "k", *M
 _HISTORY = 5
 #: Normal quantiles of a two-sided test at 5 %, and of a power of 80 %.
 _Z_TEST, _Z_POWER = 1.959964, 0.841621
-
 #: Scenes per task: about as many as take the time that a process needs to begin.
 _CHUNK = 128
 
@@ -86,7 +85,7 @@ def score_predictions(
     """
     first: dict[str, Path] = {}
     left_out = [
-        f"{folder}: same scene as {there}, which is scored"
+        f"{folder}: same scene as {there}, which is taken"
         for folder in find_scenarios(out)
         if (there := first.setdefault(source_id(folder), folder)) is not folder
     ]
@@ -103,11 +102,11 @@ def score_predictions(
     )
     scored, failed = sorted_out(each)
     rows = [row for own, _ in scored for row in own]
-    left_out += [said for _, said in failed] + [said for _, own in scored for said in own]
+    left_out = [said for _, said in failed] + [said for _, own in scored for said in own] + left_out
     left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(first))]
     if not rows:
         first_said = next((said for said in left_out if not said.endswith(": no forecast")), left_out[0])
-        raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {first_said}")
+        raise ScenarioError(f"{out}: nothing to score by {predictions}, first of {len(left_out)} reasons: {first_said}")
     scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
     if report_dir is not None:
         write_rows(report_dir / "predictions.csv", SCORE_COLUMNS, rows)
@@ -117,16 +116,19 @@ def score_predictions(
 
 
 def read_forecasts(path: Path) -> Forecasts:
-    """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that is not finite."""
+    """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that cannot be."""
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}")
     try:
+        table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
+        if lacking := int(table.isna().any(axis=1).sum()):  # av2 leaves them out
+            raise ValueError(f"{lacking} rows without scenario_id, track_id or probability")
         with np.errstate(over="ignore", invalid="ignore"):  # values may be anything until they have been looked at
-            forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}") from None
+            read = ChallengeSubmission.from_parquet(path).predictions
+        forecasts = {name: (p, {one: np.asarray(m, float) for one, m in by.items()}) for name, (p, by) in read.items()}
     except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
-        said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
+        said = ("no column " if isinstance(error, KeyError) else "") + str(error).split("\n")[0].split(". ")[0]
         raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
-    table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
     rank = table.groupby(["scenario_id", "track_id"]).cumcount()
     each = table.groupby(["scenario_id", rank])["probability"]  # av2 keeps those of one track
     for row in table[each.transform("max") - each.transform("min") > 1e-6].itertuples():
@@ -137,13 +139,12 @@ def read_forecasts(path: Path) -> Forecasts:
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():
-            where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))}"
-            raise ScenarioError(f"{where}: probability {probabilities[outside][0]}, expected 0 to 1")
+            raise ScenarioError(f"{path}: {scenario_id}: probability {probabilities[outside][0]}, expected 0 to 1")
         for track_id, modes in by_track.items():
-            for mode, step, axis in np.argwhere(~np.isfinite(modes)).tolist():
-                where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode}, step {step}"
+            for mode, step, axis in np.argwhere(~(np.abs(modes) < 1e9)).tolist():
+                where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode} by probability, step {step}"
                 raise ScenarioError(
-                    f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a finite number; "
+                    f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a number below 1e9; "
                     "leave the track out to score the others"
                 )
     return forecasts
@@ -196,8 +197,7 @@ def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -
     order = np.argsort(-np.asarray(probabilities), kind="stable")
     tracks = {track.track_id: track for track in scene.tracks}
     observed = sum(scene.last_observed in track.timesteps for track in scene.tracks)
-    scores, reasons = [], []
-    wanted = _future_steps(scene)
+    scores, reasons, wanted = [], [], _future_steps(scene)
     for track_id, modes in sorted(by_track.items()):
         track = tracks.get(str(track_id))
         future = np.empty((0, 2)) if track is None else track.position[track.timesteps > scene.last_observed]
@@ -218,9 +218,8 @@ def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -
 
 def bands(bounds: Sequence[int]) -> dict[str, str]:
     """Queries of scores: all scenes, those of more tracks than each bound, and of more at the observation's end."""
-    in_all = {f"more than {bound}": f"agents > {bound}" for bound in bounds}
     observed = {f"more than {bound} at the observation's end": f"agents_observed > {bound}" for bound in bounds}
-    return {"all scenes": "agents > 0"} | in_all | observed
+    return {"all scenes": "agents > 0"} | {f"more than {bound}": f"agents > {bound}" for bound in bounds} | observed
 
 
 TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
@@ -281,8 +280,7 @@ def differences_of(
         values, source = _aligned([mine, theirs], source_of, metric)
         estimate, se = _bootstrap(values, source, params, metric)
         detectable = (_Z_TEST + _Z_POWER) * se if se else None
-        counts = len(source), len(np.unique(source))
-        seeds = len(mine), len(theirs)
+        counts, seeds = (len(source), len(np.unique(source))), (len(mine), len(theirs))
         found.append(Difference(name, other, called, metric, *estimate, se, *counts, detectable, seeds))
     return found
 
@@ -330,19 +328,18 @@ def _bootstrap(
 
 
 def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
-    """Files by model of "FILE" or "NAME=FILE", as given; a name that comes again adds a seed. Errors: ConfigError."""
+    """Files by model of "FILE" (called by its path where that alone tells it) or "NAME=FILE". Errors: ConfigError."""
     models: dict[str, list[Path]] = {}
-    for text in texts:
-        name, separator, place = text.partition("=")
-        if not separator or Path(text).is_file():
-            name, place = (Path(text).stem if texts.count(text) == 1 else text), text
-        path = Path(place)
+    given = [("", text) if text.find("=") < 1 or Path(text).is_file() else text.split("=", 1) for text in texts]
+    names = [name or Path(place).stem for name, place in given]
+    for text, (own, place), name in zip(texts, given, names, strict=True):
+        path, files = Path(place), models.setdefault(name if own or names.count(name) == 1 else text, [])
         if not path.is_file():
             wrong = "a baseline is scored alone" if text in BASELINES else "no such file"
             raise ConfigError(f"--predictions {text}: {wrong}; expected FILE or NAME=FILE to compare")
-        if path in models.get(name, []):
+        if any(path.samefile(other) for other in files):
             raise ConfigError(f"--predictions {text}: given twice; give each file once")
-        models.setdefault(name, []).append(path)
+        files.append(path)
     return models
 
 
@@ -363,7 +360,7 @@ def compare_predictions(
         for file in files:
             scores, reasons = score_predictions(scenes, predictions=file, jobs=jobs, on_scene=on_scene)
             runs.setdefault(name, []).append(scores)
-            left_out += [f"{name}: {reason}" for reason in reasons]
+            left_out += [f"{name}, {file}: {reason}" for reason in reasons]
     first, *others = runs
     found = differences_of([(name, first) for name in others], runs, bands(bounds), sources_of(scenes), Forecasting())
     if not any(difference.tracks for difference in found):
@@ -376,10 +373,11 @@ def compare_predictions(
 
 def sources_of(scenes: Path) -> dict[str, str]:
     """The recorded scene behind each generated one below a folder, by scenario id."""
-    each = ((source_id(folder), generated_sidecar(folder)) for folder in find_scenarios(scenes))
+    folders = find_scenarios(scenes)
+    each = ((source_id(folder), generated_sidecar(folder)) for folder in folders)
     found = {name: sidecar.source_scenario_id for name, sidecar in each if sidecar is not None}
-    for root in (scenes, scenes.parent):
-        found |= {name: origin["source_id"] for name, origin in origins_of(root).items()}
+    for root in dict.fromkeys(up.parent for one in folders for up in one.absolute().parents[:2] if up.name in SPLITS):
+        found |= origins_of(root)
     return found
 
 

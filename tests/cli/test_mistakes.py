@@ -68,7 +68,8 @@ PATHS = [
     ("generate --from s/made --source av2 -o again", "made", "no sidecar", r"hid2_<id>\.json"),
     ("generate --repro no.zip", r"no\.zip", "no such file", "bundle"),
     ("generate --from no.json --source av2 -o out", r"no\.json", "no such file", "generated scene"),
-    ("evaluate s/curve -o out --predictions no.parquet", r"no\.parquet", "no such file", "forecast file"),
+    ("evaluate s/curve -o out --predictions x=no.parquet", r"error: no\.parquet", "no such file", "forecast file"),
+    ("evaluate s/curve -o out --predictions s/curve", "error: s/curve", "no such file", "forecast file"),
     ("paper prediction --composed none -o out", "none", "no such folder", "scenario"),
     ("render av2 -o a.png", "av2", "several scenes", "one of them, such as av2/"),
 ]

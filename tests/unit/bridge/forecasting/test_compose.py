@@ -18,10 +18,11 @@ from bridge.console import Activity
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, composition_of_sources
 from bridge.forecasting.places import SourceScene, groups_of, split_by_place
+from bridge.forecasting.predictions import sources_of
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_scenarios
 from bridge.toml import model_of, read_toml_as
-from netconvert.errors import ConfigError, NoSceneError
+from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
 
 @pytest.fixture
@@ -135,8 +136,9 @@ def test_the_controls_have_as_many_scenes_and_one_validation_set(data_root, gene
     }
     held_out = {frozenset(ids(made.root / name / "val")) for name in (*CONTROLS, HID2_ONLY)}
     assert held_out == {frozenset(ids(made.root / "validation" / "recorded" / "val"))}
-    copies = [row for row in origins(made.root / "recorded-twice") if row["kind"] == "copy"]
-    for row in copies:
+    source_of = sources_of(made.root)
+    for row in (row for row in origins(made.root / "recorded-twice") if row["kind"] == "copy"):
+        assert source_of[row["scenario_id"]] == row["source_id"]
         folder = made.root / "recorded-twice" / "train" / row["scenario_id"]
         copy, drawn = read_scenario(folder), read_scenario(Path(row["folder"]))
         assert copy.scenario_id == row["scenario_id"] != drawn.scenario_id == row["drawn"]
@@ -273,12 +275,14 @@ def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
 
 
 def test_copies_of_generated_scenes_are_valid(data_root, generated, tmp_path):
-    root = composed(
-        mixed(data_root, generated, sets={"a": {"take": {"hid2": 2}, "again": {"hid2": 3}}}), tmp_path / "r"
-    )
-    copies = [row["scenario_id"] for row in origins(root.root) if row["kind"] == "copy"]
-    assert len(set(copies)) == 3
-    assert [finding for finding in breaches(root.root, source=data_root) if not finding.is_note] == []
+    values = mixed(data_root, generated, sets={"a": {"take": {"hid2": 2}, "again": {"hid2": 3}}})
+    root = composed(values, tmp_path / "r").root
+    assert len({row["scenario_id"] for row in origins(root) if row["kind"] == "copy"}) == 3
+    assert [finding for finding in breaches(root, source=data_root) if not finding.is_note] == []
+    for damaged in (b"scenario_id\nx\n", b"scenario_id,source_id\nx\n", b"\xff"):
+        (root / "origins.csv").write_bytes(damaged)
+        with pytest.raises(ScenarioError, match=rf"^{root}/origins.csv: .*expected columns scenario_id, source_id"):
+            check_leaks(root)
 
 
 def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
@@ -305,17 +309,13 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     with pytest.raises(NoSceneError, match="no such folder"):
         composed(values | {"sources": {"data": ("nowhere",)}}, tmp_path / "root")
     write_fake(read_scenario(find_scenarios(data_root)[0]), tmp_path / "made", count=0)
-    with pytest.raises(
-        NoSceneError, match=r"made: no scene that can be used; .*made/.*no vehicle was inserted.*\(1 left"
-    ):
+    with pytest.raises(NoSceneError, match=r"made: no scene .* used; .*made/.*no vehicle was inserted.*\(1 left"):
         composed(values | {"sources": {"data": (str(tmp_path / "made"),)}}, tmp_path / "root")
     with pytest.raises(ConfigError, match="no such file, expected a composition"):
         read_toml_as(Composition, tmp_path / "none.toml", "a composition")
     shutil.copytree(data_root, tmp_path / "same")
-    twice = {
-        "sources": source | {"same": (str(tmp_path / "same"),)},
-        "sets": {"a": {"take": {"data": "all", "same": "all"}}},
-    }
+    both = {"a": {"take": {"data": "all", "same": "all"}}}
+    twice = {"sources": source | {"same": (str(tmp_path / "same"),)}, "sets": both}
     with pytest.raises(ConfigError, match=rf"is in two of the sources, {data_root}/\S+ and {tmp_path}/same/\S+; leave"):
         composed(twice | {"split": {"val": 0.0}}, tmp_path / "r")
     with pytest.raises(ConfigError, match=r"in the sources 'data' and 'more'; leave it out of one"):

@@ -79,38 +79,38 @@ def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):
         brier = metrics.compute_brier_fde(modes, truth, probabilities)[best]
         assert found.brier_min_fde == pytest.approx(brier, abs=1e-9)
         assert found.missed == bool(metrics.compute_is_missed_prediction(modes, truth).all())
-        assert (found.agents, found.agents_observed) == (
-            len(scenario.tracks), sum(49 in track.timesteps for track in scenario.tracks)
-        )  # fmt: skip
+        observed = sum(49 in track.timesteps for track in scenario.tracks)
+        assert (found.agents, found.agents_observed) == (len(scenario.tracks), observed)
 
 
-def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_path):
+def test_a_forecast_that_is_not_finite_or_nowhere_near_is_named_and_refused(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["arterial"])
-    truth = focal_future(scenario)
-    broken = truth.copy()
-    broken[12, 1] = np.inf
-    path = submission(scenario, [truth, broken], [0.7, 0.3], tmp_path / "f.parquet")
-    where = f"scenario {scenario.scenario_id}, track {scenario.focal_track_id}, mode 1, step 12: y is inf"
-    with pytest.raises(ScenarioError, match=re.escape(where)):
-        score_predictions(data_scenes["arterial"], predictions=path)
+    truth, broken = focal_future(scenario), focal_future(scenario).copy()
+    for value in (np.nan, 1e9):
+        broken[12, 1] = value
+        path = submission(scenario, [broken, truth], [0.3, 0.7], tmp_path / "f.parquet")
+        where = f"{scenario.scenario_id}, track {scenario.focal_track_id}, mode 1 by probability, step 12: y is {value}"
+        with pytest.raises(ScenarioError, match=re.escape(where)):
+            score_predictions(data_scenes["arterial"], predictions=path)
 
 
-def test_tracks_of_a_scenario_with_probabilities_of_their_own_are_refused(data_scenes, tmp_path):
+def test_tracks_of_a_scenario_with_probabilities_of_their_own_or_without_an_id_are_refused(data_scenes, tmp_path):
     """av2 reads one track's for all: brier-minFDE of the other would be wrong. The order of modes may differ."""
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     by_track = {scenario.focal_track_id: np.stack([truth, truth]), "AV": np.stack([truth, truth])}
     path = write_forecasts({scenario.scenario_id: (np.array([0.4, 0.6]), by_track)}, tmp_path / "f.parquet")
     rows = pd.read_parquet(path)
-    for shares, differ in (((0.4, 0.6, 0.6, 0.4), False), ((0.4, 0.6, 0.3, 0.7), True)):
-        rows.assign(probability=shares).to_parquet(path)
-        if differ:
-            with pytest.raises(
-                ScenarioError, match=f"scenario {scenario.scenario_id}, track .*: probability 0.3, expected"
-            ):
-                read_forecasts(path)
-        else:
-            assert list(read_forecasts(path)) == [scenario.scenario_id]
+    rows.assign(probability=(0.4, 0.6, 0.6, 0.4)).to_parquet(path)
+    assert list(read_forecasts(path)) == [scenario.scenario_id]
+    for wrong, said in (
+        ({"probability": (0.4, 0.6, 0.3, 0.7)}, f"{scenario.scenario_id}, track .*: probability 0.3, expected"),
+        ({"track_id": None}, "4 rows without scenario_id, track_id or probability"),
+        ({"predicted_trajectory_y": [["a"] * 60] * 4}, "could not convert string to float"),
+    ):
+        rows.assign(**wrong).to_parquet(path)
+        with pytest.raises((ConfigError, ScenarioError), match=said):
+            read_forecasts(path)
 
 
 def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
@@ -152,19 +152,16 @@ def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     assert tracks["all scenes", 1][1] == pytest.approx(scores[scores.k == 1].min_ade_m.mean(), rel=1e-12)
     assert tracks["more than 1000", 6] == [0, None, None, None, None]
     assert predictions.shown([("all", 1, 0, 1.23456, None)]) == [("all", 1, 0, "1.235", "–")]
-    observed = "more than 5 at the observation's end"
-    assert tracks[observed, 6] == tracks["more than 5", 6]
+    assert tracks["more than 5 at the observation's end", 6] == tracks["more than 5", 6]
     assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(scores)
     assert "minADE" in (tmp_path / "predictions.html").read_text()
 
 
-def test_what_cannot_be_scored_is_listed_or_explained_and_fewer_modes_are_told(
-    data_scenes, data_root, tmp_path, caplog
-):
+def test_what_cannot_be_scored_is_told_and_so_are_fewer_modes(data_scenes, data_root, tmp_path, caplog):
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet", track_id="nobody")
-    with pytest.raises(ScenarioError, match=r"3 reasons: .*nobody: no such track"):
+    with pytest.raises(ScenarioError, match=r"by .*/f.parquet, first of 3 reasons: .*nobody: no such track"):
         score_predictions(data_root, predictions=path)
     path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet")
     _, left_out = score_predictions(data_root, predictions=path)
@@ -182,10 +179,8 @@ def test_what_cannot_be_scored_is_listed_or_explained_and_fewer_modes_are_told(
     with pytest.raises(ConfigError, match="not a forecast file") as said:
         read_forecasts(tmp_path / "bad.parquet")
     assert len(str(said.value)) < len(str(tmp_path)) + 150  # pyarrow's own reason goes on for three times as much
-    pd.DataFrame({"scenario_id": ["a"]}).to_parquet(tmp_path / "wrong.parquet")
-    with pytest.raises(ConfigError, match="not a forecast file"):
-        read_forecasts(tmp_path / "wrong.parquet")
-    with pytest.raises(ConfigError, match="not a forecast file"):
+    pd.DataFrame({"scenario_id": ["a"], "track_id": "b", "probability": 1.0}).to_parquet(tmp_path / "wrong.parquet")
+    with pytest.raises(ConfigError, match=r"not a forecast file .*\(no column 'predicted_trajectory_x'"):
         score_predictions(data_root, predictions=tmp_path / "wrong.parquet", report_dir=tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
@@ -213,6 +208,10 @@ def test_a_scene_that_lies_in_two_folders_is_scored_once_and_named(data_root, tm
     pd.testing.assert_frame_equal(scores, score_predictions(data_root, predictions="constant-velocity")[0])
     assert len(left_out) == 3
     assert all(re.search("/two/.*: same scene as .*/one/", line) for line in left_out)
+    for file in (tmp_path / "root").rglob("scenario_*"):
+        file.unlink()
+    with pytest.raises(ScenarioError, match=r"first of 6 reasons: no scenario_<id>\.parquet"):
+        score_predictions(tmp_path / "root", predictions="constant-velocity")
 
 
 PARAMS = Forecasting(resamples=4000)
@@ -238,8 +237,7 @@ def test_a_difference_is_over_pairs():
     mine = [[score(f"s{n}", level - 0.1) for n, level in enumerate(levels)]]
     theirs = [[score(f"s{n}", level) for n, level in enumerate(levels)]]
     found = compared(mine, theirs)
-    assert found.difference == pytest.approx(-0.1)
-    assert (found.low, found.high) == (pytest.approx(-0.1), pytest.approx(-0.1))
+    assert (found.difference, found.low, found.high) == pytest.approx((-0.1, -0.1, -0.1))
     assert (found.tracks, found.sources, found.seeds) == (40, 40, (1, 1))
 
 
@@ -303,9 +301,10 @@ def test_files_are_compared_with_the_first(data_root, tmp_path):
         right[scenario.scenario_id] = (np.array([1.0]), {track.track_id: track.position[None, track.timesteps > 49]})
     first = write_baseline(data_root, tmp_path / "cv.parquet", kind="constant-velocity")
     second = write_forecasts(right, tmp_path / "right.parquet")
-    few = write_forecasts(dict([*right.items()][:2]), tmp_path / "few.parquet")
+    few = write_forecasts(dict([*right.items()][:2]), tmp_path / "few" / "cv.parquet")
     some = predictions.parse_models([str(first), str(few)])
     _, (told,) = predictions.compare_predictions(data_root, some, tmp_path / "report")
+    assert told.startswith(f"{few}, {few}: ")  # of two files of one name each is a model, called by its path
     assert told in (tmp_path / "report" / "comparison.html").read_text()
     models = predictions.parse_models([str(first), f"oracle={second}"])
     assert models == {"cv": [first], "oracle": [second]}
@@ -321,4 +320,4 @@ def test_files_are_compared_with_the_first(data_root, tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         predictions.parse_models(["a=nowhere.parquet"])
     with pytest.raises(ConfigError, match="given twice"):
-        predictions.parse_models([f"a={first}", f"a={first}"])
+        predictions.parse_models([f"a={first}", f"a={tmp_path}/few/../cv.parquet"])
