@@ -97,8 +97,7 @@ def test_what_cannot_be_read_is_quarantined_and_its_bundle_says_the_same(
     sequence.write_text(sequence.read_text().replace("AGENT", "OTHERS"))
     (copy / "logs" / "test" / LOG_ID / "city_SE3_egovehicle.feather").unlink()
     out = tmp_path / "out"
-    result = hid2("generate", copy, "-o", out, "--window", 3)
-    assert result.returncode == 1
+    assert hid2("generate", copy, "-o", out, "--window", 3).returncode == 1
     reasons = {row["reason"] for row in rows(out).values()}
     assert any("no tracks of OBJECT_TYPE AGENT" in reason for reason in reasons)
     assert any("city_SE3_egovehicle.feather: no such file" in reason for reason in reasons)
