@@ -74,8 +74,7 @@ def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path,
     }  # fmt: skip
     checked = hid2("validate", out, "--source", mixed)
     assert checked.returncode == 0, checked.stdout
-    log = out / found[LOG_ID]["folder"]
-    recording = json.loads(next(log.glob("hid2_*.json")).read_text())["recording"]
+    recording = json.loads(next(out / found[LOG_ID]["folder"].glob("hid2_*.json")).read_text())["recording"]
     assert (recording["format"], recording["provenance"], recording["observed_steps"]) == ("sensor_log", "human", 50)
     assert recording["sizes"]["AV"] == [4.877, 2.0]
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*.parquet")}
