@@ -39,6 +39,11 @@ def explained(path: Path) -> Iterator[None]:
         raise kind(f"{path}: cannot be written ({error.strerror or error}){way_out}") from error
 
 
+def with_name(path: object, reason: str) -> str:
+    """A reason behind what it is of, once: most reasons name their file themselves."""
+    return reason if reason.startswith(str(path)) else f"{path}: {reason}"
+
+
 @contextlib.contextmanager
 def beside(path: Path) -> Iterator[Path]:
     """A hidden file beside a file, which takes the place of that at the end; gone if all fails. Errors: ExportError."""

@@ -180,31 +180,35 @@ def run_batch(
     return sorted(rows, key=lambda row: row.key)
 
 
-def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
-    """The jobs with the digests of the files of rules and behaviours of a user's own, each imported, tried and said.
+def own_files(configs: Sequence[Config], functions: Collection[str]) -> dict[str, tuple[str, str]]:
+    """Key and file, by name, of each rule and behaviour of a user's own in configurations; they are imported and tried.
 
     functions: those that may be imported. They are looked for in the working folder last. Errors: ConfigError.
     """
-    configs = [run.config for job in jobs for run in job.runs if functions_of(run.config)]
     named = {name: key for one in configs for name, key in functions_of(one).items()}
     for name, key in sorted(named.items()):
         check_function(name, functions, where=key)
         if name.startswith("__main__:"):
             raise ConfigError(f"{key} = {name!r}: a batch finds nothing in a script; put it into a module of its own")
-    if not configs:
-        return jobs
+    if not named:
+        return {}
     from hid2.policy.behaviours import load_own  # only where there are any
     from hid2.policy.rules import check_user_rule
 
     find_in_working_folder()
     changes = {(one.lane_change.rule, one.lane_change.rule_with): one.lane_change for one in configs}
     files = {rule: check_user_rule(change) for (rule, _), change in sorted(changes.items()) if rule in named}
-    own = sorted({name for one in configs for name in one.request.own_behaviours})
-    load_own(own)
+    own = load_own(sorted({name for one in configs for name in one.request.own_behaviours}))
     files |= {name: str(sys.modules[name.partition(":")[0]].__file__) for name in own}
-    digests = {name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for name, file in files.items()}
-    for name, file in files.items():
-        _LOG.warning("%s = %s is imported from %s and run", named[name], name, file)
+    return {name: (named[name], file) for name, file in files.items()}
+
+
+def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
+    """The jobs with the digests of `own_files`, which are said; functions and errors as there."""
+    found = own_files([run.config for job in jobs for run in job.runs], functions)
+    digests = {name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for name, (_, file) in found.items()}
+    for name, (key, file) in found.items():
+        _LOG.warning("%s = %s is imported from %s and run", key, name, file)
 
     def known(run: Run) -> Run:
         return replace(run, rule_sha256=" ".join(digests[name] for name in functions_of(run.config)))

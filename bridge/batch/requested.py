@@ -10,7 +10,7 @@ from typing import Any
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow, read_manifest
-from bridge.config import config_sha256, config_to_dict, find_in_working_folder
+from bridge.config import config_sha256, config_to_dict
 from bridge.files import one_line
 from bridge.recordings.folders import SIDECAR_PATTERN, Address
 from hid2.params import Config, Request
@@ -42,8 +42,6 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
     """Look at the first scenes until each thing asked for can come about in one. Errors: ConfigError if none can."""
     if not may_be_impossible(config, named):
         return
-    if config.request.own:
-        find_in_working_folder()
     told, never = list[dict[str, str]](), dict[str, str]()
     each = work_on_each(never_in_scene, folders[:_LOOKED_AT], (config, named), jobs=jobs, chunk=1, timeout_s=60.0)
     with contextlib.closing(each):
@@ -52,8 +50,7 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
                 continue
             where = f"{folder}, for one" if len(folders) > 1 else f"{folder}"
             told.append({asked: f"{where}: {why}" for asked, why in found.items()})
-            never = {asked: why for asked, why in told[0].items() if all(asked in one for one in told)}
-            if not never:
+            if not (never := {asked: why for asked, why in told[0].items() if all(asked in one for one in told)}):
                 return
     for asked, why in never.items():
         looked = f"{len(told)} of {len(folders)}"

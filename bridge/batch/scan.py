@@ -198,8 +198,7 @@ def wanted(
     Those are among the wanted too, but for a sample: their reasons are told. Errors: ConfigError where none is left.
     """
     facts, unread = facts_of(folders, selection.can, jobs=jobs, on_scene=on_scene)
-    chosen = {fact.folder for fact in select(facts, selection)}
-    if not chosen:
+    if not (chosen := {fact.folder for fact in select(facts, selection)}):
         raise ConfigError(f"none of {len(folders)} scenes is left by the selection (see `hid2 scan`)")
     if selection.sample is None:
         chosen |= {folder for folder, _ in unread}

@@ -149,9 +149,11 @@ def generate(
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
     from bridge.batch import requested
+    from bridge.batch.batch import own_files, plan, run_batch
     from bridge.config import functions_of
 
     resolved = asked.resolved()
+    own_files([resolved], functions_of(resolved))  # before any scene is looked for
     named = requested.named_behaviours(resolved.request, by_option=asked.behaviours is not None)
     selects = any(which) or requested.may_be_impossible(resolved, named)
     beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record), "functions": functions_of(resolved)}
@@ -163,8 +165,6 @@ def generate(
     folders = select_scenes(folders, which, resolved.request.seed, activity, jobs=jobs)
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
-    from bridge.batch.batch import plan, run_batch
-
     jobs_wanted = plan(folders, resolved)
     if not running.append:
         requested.check_same_request(out, jobs_wanted[0].runs[0].config)

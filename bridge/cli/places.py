@@ -9,6 +9,7 @@ from typing import Any
 from bridge.batch.manifest import is_output
 from bridge.cli.options import Which
 from bridge.console import Activity, say, warn
+from bridge.files import with_name
 from bridge.interruption import remove_abandoned
 from bridge.recordings import sources
 from bridge.recordings.folders import SPLITS, Address, Choices, is_generated
@@ -54,9 +55,9 @@ def recordings(
 
 
 def tell_unread(failures: Sequence[tuple[Address, str]]) -> None:
-    """Warn of scenes that cannot be read; most reasons name the file themselves."""
+    """Warn of scenes that cannot be read."""
     for folder, reason in failures:
-        say(f"warning: {'' if reason.startswith(str(folder)) else f'{folder}: '}{reason}")
+        say(f"warning: {with_name(folder, reason)}")
 
 
 def select_scenes(folders: list[Address], which: Which, seed: int, activity: Activity, *, jobs: int) -> list[Address]:
@@ -92,9 +93,8 @@ def check_out(out: Path, *, is_file: bool = False) -> None:
 def _check_among_sources(out: Path) -> None:
     real = out.resolve()
     parents = [one for one in (real, *real.parents) if one.is_dir() and not is_output(one)]
-    for place in parents:
-        if _is_scene(place):
-            raise ConfigError(f"{out}: lies inside the scene {place}; choose a place outside it")
+    for place in filter(_is_scene, parents):
+        raise ConfigError(f"{out}: lies inside the scene {place}; choose a place outside it")
     beside = {place: list(islice(_recorded(place), 2)) for place in parents}
     for place, scenes in beside.items():
         if len(scenes) == 2 or (scenes and place.name in (*SPLITS, "raw")):  # by name the first tells

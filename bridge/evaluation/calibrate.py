@@ -9,7 +9,7 @@ import numpy as np
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
-from bridge.files import write_text
+from bridge.files import with_name, write_text
 from bridge.pages.parts import write_page
 from bridge.recordings.folders import Source, source_id
 from bridge.recordings.judging import recording_states
@@ -37,17 +37,15 @@ def calibrate_folder(
     root, there = ", ".join(map(str, roots)), scenes_below(roots)
     if not there:
         raise ConfigError(f"{root}: no Argoverse 2 scene, which calibration reads; expected scenario_<id>.parquet")
-    unknown = sorted(set(without) - there.keys())
-    if unknown:
+    if unknown := sorted(set(without) - there.keys()):
         raise ConfigError(f"--without {unknown[0]}: no such scene in {root}, expected the id of one, as {min(there)}")
-    folders = [folder for name, folder in there.items() if name not in without]
-    if not folders:
+    if not (folders := [folder for name, folder in there.items() if name not in without]):
         raise ConfigError(f"{root}: --without leaves no scene to calibrate with, expected at least one")
     scenes, failures = sorted_out(
         work_on_each(observe_scene, folders, 1, jobs=jobs, chunk=20, timeout_s=120, on_item=on_scene)
     )
     if not scenes:
-        raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")
+        raise ScenarioError(f"{root}: no scene can be read; the first: {with_name(*failures[0])}")
     prior = Drivers()
     groups = {name: calibrate(part, prior=prior) for name, part in _groups(scenes)}
     rows = [{"group": name} | one._asdict() for name, found in groups.items() for one in found]

@@ -15,7 +15,7 @@ from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import table_file, table_text, write_json, write_rows
+from bridge.files import table_file, table_text, with_name, write_json, write_rows
 from bridge.pages.parts import number, write_page
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, is_generated, source_id
 from bridge.recordings.sidecar import sidecar_in
@@ -71,10 +71,8 @@ def evaluate_folder(
                     stream.write(table_text([tables[name][1]]))
                 tables[name][0].write(table_text(_cells(rows, tables[name][1])))
         if set(folders) <= {folder for folder, _ in failures}:
-            raise ScenarioError(
-                f"{out}: none of {len(folders)} scenes can be read, expected one at least; {failures[0][0]}: "
-                f"{failures[0][1]}"
-            )
+            said = f"none of {len(folders)} scenes can be read, expected one at least"
+            raise ScenarioError(f"{out}: {said}; {with_name(*failures[0])}")
     metrics = totals.content()
     metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in failures]
     write_json(report_dir / "metrics.json", metrics)

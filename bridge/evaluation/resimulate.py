@@ -13,7 +13,7 @@ from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import config_sha256, load_config, new_scenario_id
 from bridge.evaluation.calibrate import observe_scene, scenes_below
 from bridge.evaluation.evaluate import write_table
-from bridge.files import explained
+from bridge.files import explained, with_name
 from bridge.generation.generate import sumo_seed
 from bridge.generation.records import generator_record
 from bridge.pages.parts import write_page
@@ -217,7 +217,7 @@ def resimulate_folders(
     if len(some) < 2:
         left = Counter(why for scene in scenes for why in scene.left.values())
         told = [*failures[:1], *((f"{number} vehicles", why) for why, number in left.most_common(1))]
-        said = "".join(f"; {what}: {why}" for what, why in told)
+        said = "".join(f"; {with_name(*one)}" for one in told)
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
         others = [[part[:, :, : LAST + 1] for part in one.recorded] for one in some if one is not scene]

@@ -100,8 +100,7 @@ def read(source: Source) -> Recording:
 
 def last_start(log: Path) -> int:
     """First sweep of the last window that a log holds; below 0 where it holds none, or cannot be read."""
-    found = sorted(log.glob(ANNOTATIONS))
-    if not found:
+    if not (found := sorted(log.glob(ANNOTATIONS))):
         return -1
     try:
         return len(_table(found[0], {"timestamp_ns": _INTEGERS}).timestamp_ns.unique()) - NUM_STEPS
@@ -139,8 +138,7 @@ def _table(path: Path, columns: Mapping[str, Sequence[pa.DataType]]) -> pd.DataF
 
 def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
     """One row for each object and sweep of the window, in the city frame; the AV is the last object."""
-    found = sorted(log.glob(ANNOTATIONS))
-    if not found:
+    if not (found := sorted(log.glob(ANNOTATIONS))):
         raise ScenarioError(f"{log}: no annotations.feather, expected the labelled boxes of a sensor log")
     path, pose_path = found[0], log / POSES
     kinds = {"timestamp_ns": _INTEGERS, "track_uuid": _STRINGS, "category": _STRINGS}

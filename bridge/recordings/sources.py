@@ -35,6 +35,7 @@ _OTHERS = {
     "Waymo data": r".+\.tfrecords?(-\d+-of-\d+)?(\.gz)?",
     "nuPlan data": r".+\.db",
     "a KITTI data set": r"calib_cam_to_cam\.txt|velodyne_points|label_02|oxts|tracklet_labels\.xml",
+    "an OpenDRIVE map": r".+\.xodr",
     "a SUMO net or its traffic": r".+\.(net|rou|fcd)\.xml(\.gz)?|.+\.sumocfg",
     "a table, such as of forecasts": r"(?!manifest\.).+\.csv(\.gz)?",
 }

@@ -161,7 +161,7 @@ def _slopes(values: Sequence[float], outcomes: FloatArray) -> FloatArray:
     y = np.ma.masked_invalid(outcomes)
     x = np.ma.array(np.broadcast_to(np.array(values, dtype=np.float64), outcomes.shape), mask=np.ma.getmaskarray(y))
     away = x - x.mean(axis=1)[:, None]
-    return np.ma.filled((away * y).sum(axis=1) / (away * away).sum(axis=1), np.nan)
+    return np.ma.filled((away * (y - y.min(axis=1)[:, None])).sum(axis=1) / (away * away).sum(axis=1), np.nan)
 
 
 def few_clusters_p(effects: FloatArray) -> float | None:

@@ -35,7 +35,7 @@ class EventMeasures:
     crossing of all steps, None where it is never below EVENT_CAP_S; ttc_at_s: when that is; headway_s: smallest
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
     behind it; pet_s: where the paths cross; drac_mps2: largest deceleration that the target would have needed, in the
-    time of min_ttc_s, 0 where it never closes in, or crosses first; brakes_mps2: hardest braking of the vehicle itself
+    time of min_ttc_s, 0 where none is told, or it crosses first; brakes_mps2: hardest braking of the vehicle itself
     in AFTER_S from the moment on, 0 where it never brakes.
     """
 

@@ -180,9 +180,9 @@ def _conflict(
 
 
 def _following_pet(arrays: SceneArrays, first: int, second: int, steps: tuple[int, int]) -> float | None:
-    """Least time, s, from when a vehicle leaves a place during some steps until another's front comes there.
+    """Least time, s, from when a vehicle's rear bumper leaves a place during some steps until another comes there.
 
-    The place is the rear bumper's; the front passes it where it is within half the two widths of the heading's line.
+    It is there from its front on, for both lengths along its heading, within half the two widths of its line.
     """
     rows = [np.arange(arrays.first[one], arrays.first[one + 1]) for one in (first, second)]
     ahead, behind = (arrays.step[own] for own in rows)
@@ -193,8 +193,8 @@ def _following_pet(arrays: SceneArrays, first: int, second: int, steps: tuple[in
     to_place = rear[during][:, None] - front  # (K, J, 2)
     along = np.einsum("kjx,jx->kj", to_place, forward[1])
     aside = np.abs(np.einsum("kjx,jx->kj", to_place, forward[1][:, ::-1] * (-1.0, 1.0)))
-    there = (along <= 0.0) & (aside < 0.5 * (arrays.width[first] + arrays.width[second]))
-    there &= behind >= ahead[during][:, None]
-    apart = np.where(there, behind - ahead[during][:, None], np.inf).min(axis=1, initial=np.inf) * arrays.step_s
-    least = float(apart.min(initial=np.inf))
+    long_m, wide_m = (size[first] + size[second] for size in (arrays.length, arrays.width))
+    there = (along <= 0.0) & (along >= -long_m) & (aside < 0.5 * wide_m)
+    later = behind - ahead[during][:, None]
+    least = float(np.where(there & (later >= 0), later, np.inf).min(initial=np.inf)) * arrays.step_s
     return least if least < CONFLICT_PET_S else None

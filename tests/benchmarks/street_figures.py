@@ -87,8 +87,7 @@ def whole(states: AgentStates, agent: int) -> Whole | None:
     steps, position = states.arrays.step[rows], states.arrays.position[rows]
     if steps.size < LEAST_STEPS or (np.diff(steps) != 1).any():
         return None
-    smooth = savgol_filter(position, 11, 2, axis=0)
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(savgol_filter(position, 11, 2, axis=0), axis=0).T))])
     if s[-1] < LEAST_M:
         return None
     v, a, j = (savgol_filter(s, 21, 3, deriv=k, delta=STEP_S) for k in (1, 2, 3))
@@ -231,8 +230,7 @@ class Figures:
                 continue
             entered = True
             if speed[run.first - first_row] > ENTERS_MPS:
-                step = int(arrays.step[run.first])
-                against = crossing_then(states, crossing[run.lane], step, agent)
+                against = crossing_then(states, crossing[run.lane], int(arrays.step[run.first]), agent)
                 self.count("against", scene, inserted, against)
         halts = lasting(inside & (speed < STANDS_MPS), STANDS_STEPS) >= 0
         if inside.any():
@@ -268,8 +266,6 @@ class Figures:
 
     def temper(self) -> Iterator[str]:
         """Distances to both labelled scenes, and between them; inserted ones of both, which weigh the same."""
-        if len(self.labelled) != 2:
-            return
         one, other = self.labelled
         series: dict[tuple[int, bool], list[list[FloatArray]]] = defaultdict(list)
         for scene, inserted, _, track in self.tracks:
@@ -340,7 +336,7 @@ class Figures:
                     for inserted, agent, d in found
                     for others in [recorded if inserted else np.delete(recorded, np.argmax(recorded == d))]
                 ]
-        table = np.array(rows, dtype=float)
+        table = np.array(rows, dtype=float).reshape(-1, 6)
         for name, scenes in (("labelled", self.labelled), ("all", np.unique(table[:, 0]))):
             own = table[np.isin(table[:, 0], scenes)]
             inserted = own[:, 1] > 0
@@ -349,6 +345,9 @@ class Figures:
             unit = parts = own[:, 0]
             if name == "labelled":  # so few scenes: recorded tracks, and variants
                 unit, parts = own[:, 0] * 1e6 + np.where(inserted, own[:, 2] // 1000, -1 - own[:, 2]), own[:, 2] % 5
+            if np.unique(parts).size < 2:
+                yield f"place, {name}: no critic, which learns from other scenes with both kinds on the same 10 m"
+                continue
             for what, x in (("offset", own[:, 4:5]), ("offset less that of others there", own[:, 5:6])):
                 yield (f"place, {name}, {what}: {told_apart(x, inserted, weight, parts, unit)}; |.| alone "
                        f"{roc_auc_score(inserted, np.abs(x[:, 0]), sample_weight=weight):.3f}; "
@@ -432,8 +431,11 @@ def main() -> None:
                 made = [(t, v.driven.limited.steps) for t, v in zip(scene.generated, scene.vehicles, strict=True)]
                 states = agent_states([*recording.tracks, *scene.generated], lanes, **kept)
                 figures.add(number, states, made, usual, variant)
-    for line in (*figures.shares(), *figures.temper(), *figures.critics(), *figures.place()):
+    whole = (figures.temper(), figures.critics()) if len(figures.labelled) == 2 else ()
+    for line in itertools.chain(figures.shares(), *whole, figures.place()):
         print(line, flush=True)
+    if not whole:
+        print(f"no temper and no critics of whole tracks: {len(figures.labelled)} human-labelled scenes, expected two")
 
 
 if __name__ == "__main__":

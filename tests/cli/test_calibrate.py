@@ -23,6 +23,7 @@ def test_every_parameter_is_measured_with_size_and_interval_or_said_to_keep_its_
     next(broken.glob("scenario_*.parquet")).write_bytes(b"no parquet")
     result = hid2("calibrate", root, "-o", out)
     assert (result.returncode, str(broken) in result.stderr) == (1, True), result.stderr
+    assert hid2("calibrate", broken, "-o", out).stderr.count(f"{broken}: ") == 1  # the only one: told once
     assert result.stdout.splitlines() == [str(out), str(out.with_name("mine.html"))]
     text = out.read_text()
     measured = tomllib.loads(text)["drivers"]

@@ -138,8 +138,7 @@ def test_scene_goes_into_the_split_of_its_source_and_it_is_said_where_there_is_n
     shutil.copytree(source, tmp_path / "mine" / source.name)
     loose = hid2("generate", tmp_path / "mine", "-o", tmp_path / "out", "--agents", 0)
     assert f"1 of 1 scenes in no folder train, val or test: no split in {tmp_path}/out has them" in loose.stderr
-    split = hid2("generate", source, "-o", tmp_path / "again", "--agents", 0)
-    assert "in no folder" not in split.stderr
+    assert "in no folder" not in hid2("generate", source, "-o", tmp_path / "again", "--agents", 0).stderr
     folders = [rows_of(tmp_path / out)[0]["folder"] for out in ("out", "again")]
     assert [Path(folder).parent.name for folder in folders] == ["", source.parent.name]
 

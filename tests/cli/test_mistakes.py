@@ -58,6 +58,7 @@ PATHS = [
     ("generate nowhere -o out", "nowhere", "no such folder", "scenario folder"),
     ("generate s/curve/scenario.parquet -o out", "scenario.parquet", "no such|is a file", "folder"),
     ("generate empty -o out", "empty", "no scenario", r"scenario_<id>\.parquet"),
+    ("generate empty -o out --set lane_change.rule=no:rule", "lane_change.rule", "no:rule", "No module named 'no'"),
     ("generate av2 -o file", "file", "is a file", "folder"),
     ("generate av2 -o av2/train/out", "av2/train/out", "split folder", "outside"),
     ("generate s/curve -o s/curve/out", "curve/out", "inside the scene", "outside"),

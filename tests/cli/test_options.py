@@ -30,8 +30,7 @@ def option(name: str, command: str = "generate") -> Any:
 
 
 def test_choices_are_those_of_the_package() -> None:
-    kinds = get_args(Event.model_fields["kind"].annotation)
-    assert kinds == get_args(options.EventName)
+    assert get_args(Event.model_fields["kind"].annotation) == get_args(options.EventName)
     assert get_args(options.ExperimentName) == (*get_args(Experiment), "prediction")
     assert get_args(options.FormatName) == tuple(WRITERS)
     assert get_args(options.ReadingName) == get_args(Reading)

@@ -74,8 +74,7 @@ def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path,
     }  # fmt: skip
     checked = hid2("validate", out, "--source", mixed)
     assert checked.returncode == 0, checked.stdout
-    log = out / found[LOG_ID]["folder"]
-    recording = json.loads(next(log.glob("hid2_*.json")).read_text())["recording"]
+    recording = json.loads(next(out / found[LOG_ID]["folder"].glob("hid2_*.json")).read_text())["recording"]
     assert (recording["format"], recording["provenance"], recording["observed_steps"]) == ("sensor_log", "human", 50)
     assert recording["sizes"]["AV"] == [4.877, 2.0]
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*.parquet")}
@@ -97,8 +96,7 @@ def test_what_cannot_be_read_is_quarantined_and_its_bundle_says_the_same(
     sequence.write_text(sequence.read_text().replace("AGENT", "OTHERS"))
     (copy / "logs" / "test" / LOG_ID / "city_SE3_egovehicle.feather").unlink()
     out = tmp_path / "out"
-    result = hid2("generate", copy, "-o", out, "--window", 3)
-    assert result.returncode == 1
+    assert hid2("generate", copy, "-o", out, "--window", 3).returncode == 1
     reasons = {row["reason"] for row in rows(out).values()}
     assert any("no tracks of OBJECT_TYPE AGENT" in reason for reason in reasons)
     assert any("city_SE3_egovehicle.feather: no such file" in reason for reason in reasons)

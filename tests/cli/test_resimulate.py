@@ -49,8 +49,7 @@ def test_every_scene_is_scored_beside_all_models_on_a_page_that_says_what_differ
     assert (len(names), len(of)) == (3, 3 * 5)
     assert all(0.0 < score <= 1.0 for score in of.values())
     assert all(of[scene, "log"] > of[scene, "calibrated"] for scene in names)
-    vehicles = rows(ended / "vehicles.csv")
-    assert all((row["driven"] == "True") == (row["why_not"] == "") for row in vehicles)
+    assert all((row["driven"] == "True") == (row["why_not"] == "") for row in rows(ended / "vehicles.csv"))
     page = (ended / "resimulation.html").read_text()
     said = "WOSAC-like", "What differs from the challenge", "calibrated / reference", "constant velocity", "at least 91"
     assert all(text in page for text in said)
@@ -69,10 +68,13 @@ def test_scenes_of_another_run_are_not_mixed_with_new_ones(hid2: Run, ended: Pat
 def test_scenes_without_a_vehicle_to_drive_are_refused_with_the_commonest_reason(
     data_scenes: dict[str, Path], tmp_path: Path, here: None
 ) -> None:
-    """Two scenes in which every track stays where it is first seen."""
+    """Two scenes in which every track stays where it is first seen, and one that cannot be read."""
     for name in ("00000000-0000-4000-8000-000000000000", "00000001-0000-4000-8000-000000000000"):
         edit_rows(copy_with_new_id(data_scenes["intersection"], tmp_path / name, name), standing)
-    with pytest.raises(ScenarioError, match=r"0 scenes with a vehicle to drive, .*; \d+ vehicles: parked, or stands"):
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "scenario_1.parquet").write_bytes(b"no parquet")
+    said = r"0 scenes with a vehicle to drive, expected two at least; \S+: not a parquet.*; \d+ vehicles: parked, or st"
+    with pytest.raises(ScenarioError, match=said):
         resimulate_folders([tmp_path], tmp_path.with_name("out"), ResimulationPlan(1))
 
 

@@ -32,8 +32,7 @@ def test_the_page_says_how_often_the_best_critic_is_right_and_what_betrays_most_
     assert "by guessing it is right 50 times of 100" in text
     assert not any(word in text for word in ("AUC", "Jensen", "bootstrap", "quantile", "stratum", "distribution"))
     assert "drift across the lane (generated vehicles have less of it)" in text
-    unseen = critics(0.51, betrays=[{"feature": "speed", "auc": 0.53}])
-    assert len(plain_words(unseen)) == 1
+    assert len(plain_words(critics(0.51, betrays=[{"feature": "speed", "auc": 0.53}]))) == 1
 
 
 def test_a_package_that_is_missing_is_not_said_to_be_too_few_scenes():
@@ -55,8 +54,7 @@ def test_verdicts_are_given_by_kind_of_recording():
     same["labelled"], same["halves"] = same["scene"] % 2, rng.integers(0, 2**16, 480)
     same["generated"] = rng.random(480) < 0.5
     found = critique(same, control=same)
-    kinds = {entry["recordings"] for entry in found["verdicts"]}
-    assert kinds == {"all", "tracker", "labelled"}
+    assert {entry["recordings"] for entry in found["verdicts"]} == {"all", "tracker", "labelled"}
     assert {entry["critic"] for entry in found["verdicts"]} == {"logistic", "trees"}
     assert min(entry["auc"] for entry in found["constant_speed_control"] if entry["view"] == "all") > 0.9
     assert found["drivers_control"]

@@ -120,7 +120,6 @@ def test_written_rollout_is_a_scene_that_says_what_it_is(made, rollouts, tmp_pat
 
 def test_vehicles_keep_to_the_lanes_that_they_were_recorded_on(made, rollouts):
     for one in made.vehicles:
-        path = made.recording.graph.lanes
-        line = np.concatenate([path[lane].centerline for lane in one.route])
+        line = np.concatenate([made.recording.graph.lanes[lane].centerline for lane in one.route])
         xy = rollouts[0].position[one.row, NOW : NOW + 40]
         assert np.hypot(*(xy[:, None] - line[None]).transpose(2, 0, 1)).min(axis=1).max() < 6.0

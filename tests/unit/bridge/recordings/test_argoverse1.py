@@ -117,8 +117,7 @@ def test_the_map_is_that_of_the_scene_with_lanes_of_the_data_sets_width(
         assert lane.width_m == pytest.approx(LANE_WIDTH_M, abs=0.1)
         assert found.successors(lane_id) == truth.successors(lane_id)
         assert lane.turn is truth.lanes[lane_id].turn
-    common = found.drivable.intersection(truth.drivable).area
-    assert common / found.drivable.union(truth.drivable).area > 0.95
+    assert found.drivable.intersection(truth.drivable).area / found.drivable.union(truth.drivable).area > 0.95
 
 
 def test_holes_of_the_drivable_area_stay_holes() -> None:
@@ -162,8 +161,7 @@ def test_boundaries_lie_half_a_width_to_each_side() -> None:
 
 
 def test_a_map_of_argoverse_2_takes_the_place_of_the_citys(argoverse1: Path, data_scenes: dict[str, Path]) -> None:
-    choices = Choices(map_path=data_scenes["intersection"])
-    (address,) = find_sources([argoverse1 / "val/data/7.csv"], choices)
+    (address,) = find_sources([argoverse1 / "val/data/7.csv"], Choices(map_path=data_scenes["intersection"]))
     found = read_recording(address)
     assert found.scenario_id == f"argoverse1-val-7-on-{data_scenes['intersection'].name}"
     assert found.map_json is None

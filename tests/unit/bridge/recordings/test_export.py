@@ -119,8 +119,7 @@ def test_centrelines_are_added_where_the_source_has_none(copy_scene: Callable[..
     (map_path,) = folder.glob("log_map_archive_*.json")
     before = json.loads(map_path.read_text())
     edit_json(map_path, lambda document: [lane.pop("centerline") for lane in document["lane_segments"].values()])
-    scenario = read_scenario(folder)
-    out = write_fake(scenario, tmp_path)
+    out = write_fake(read_scenario(folder), tmp_path)
     after = json.loads((out / f"log_map_archive_{out.name}.json").read_text())
     for key, lane in after["lane_segments"].items():
         known = before["lane_segments"][key]

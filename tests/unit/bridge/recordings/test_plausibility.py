@@ -89,8 +89,7 @@ def test_a_reversing_vehicle_is_no_reason(data_scenes: dict[str, Path]) -> None:
         replace(track, heading=np.mod(track.heading + np.pi, 2 * np.pi)) if track.track_id != "AV" else track
         for track in recording.tracks
     ]
-    few = tuple(backwards[:2]) + recording.tracks[2:]
-    assert implausible(replace(recording, tracks=few)) == ""
+    assert implausible(replace(recording, tracks=tuple(backwards[:2]) + recording.tracks[2:])) == ""
     assert re.match(r"headings of \d+ of \d+", implausible(replace(recording, tracks=tuple(backwards))))
 
 
@@ -110,6 +109,7 @@ def test_the_switch_lets_it_through(spoiled_scenes: list[Path], tmp_path: Path) 
         (["nuplan-v1.1/splits/mini/2021.05.12.22.00.38_veh-35.db"], "nuPlan data"),
         (["2011_09_26/calib_cam_to_cam.txt"], "a KITTI data set"),
         (["town.net.xml"], "a SUMO net"),
+        (["town.xodr"], "an OpenDRIVE map"),
         (["forecasts.csv"], "a table, such as of forecasts"),
     ],
 )

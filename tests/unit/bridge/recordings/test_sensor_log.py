@@ -112,8 +112,7 @@ def _map(change: Callable[[dict[str, Any]], object]) -> Change:
 
 
 def _gap(frame: Frame) -> Frame:
-    stamps = sorted(frame.timestamp_ns.unique())
-    return frame[~frame.timestamp_ns.isin(stamps[40:45])]
+    return frame[~frame.timestamp_ns.isin(sorted(frame.timestamp_ns.unique())[40:45])]
 
 
 def _only_short(frame: Frame) -> Frame:

@@ -31,8 +31,7 @@ def _read(content: bytes) -> tuple[tuple[Any, ...], dict[float, list[tuple[Any, 
 
 
 def test_trj_has_every_vehicle_at_every_step(data_scenes: dict[str, Path]) -> None:
-    folder = data_scenes["arterial"]
-    scenario = read_scenario(folder)
+    scenario = read_scenario(data_scenes["arterial"])
     vehicles = [track for track in scenario.tracks if track.object_type in ("vehicle", "bus")]
     ((name, content),) = trj_files(scenario).items()
     (version, units, scale, *bounds), steps = _read(content)

@@ -226,8 +226,7 @@ def test_rule_of_the_page_decides(
     config = _corridor_config(rule="impatient:accept")
     prepared = prepare(read_scenario(corridor), config)
     run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
-    answers = {look.rule for vehicle in run.driven for look in vehicle.gaps}
-    assert answers == {None, "rule_refuses"}
+    assert {look.rule for vehicle in run.driven for look in vehicle.gaps} == {None, "rule_refuses"}
     assert any(row["accepted"] for row in run.requests)
 
 
@@ -260,8 +259,7 @@ def _check_references(text: str, out: Path) -> None:
 @pytest.mark.usefixtures("few_draws")
 def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) -> None:
     """Six runs of 20 s: tables, figures and page; a second call drives nothing again and writes the same bytes."""
-    road = write_corridor(tmp_path / "roads", length_m=200.0, lanes=2, seconds=20.0)
-    study = _study(tmp_path, road)
+    study = _study(tmp_path, write_corridor(tmp_path / "roads", length_m=200.0, lanes=2, seconds=20.0))
     out = tmp_path / "out"
     seen = []
     report = run_study(study, out, Options(resume=True), on_row=lambda row, progress: seen.append(progress.skipped))

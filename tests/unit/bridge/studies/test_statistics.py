@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from bridge.pages.parts import macros
+from bridge.studies import statistics
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
 from bridge.studies.page import _classes, _seeds_line, _told, _write_table, draw_parameter
 from bridge.studies.statistics import difference_sd, dose_response, few_clusters_p, mean_wait, observed_s, seeds_needed
@@ -188,6 +189,7 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
     assert first.loc["lateral_s", "p"] == 1.0
     assert first.loc["lag_time_gap_s", "p"] == pytest.approx(2 / 2**12)  # each of twelve runs says the same
     names = _requests(0.0).assign(p=lambda rows: np.array(["sumo", "guard", "rule"])[rows["point"]])
+    assert statistics._slopes([0.3, 2.0], np.full((1, 2), 0.15)) == [0.0]  # no rounding
     named = dose_response(names, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
     assert ("trend" in named, set(named["clusters"])) == (False, {12})
     ((outcome, told),) = [each for each in _told(named)["outcomes"] if each[0].name == "lag_time_gap_s"]

@@ -8,7 +8,7 @@ from hand_drawn import draw_driven, draw_road
 
 from hid2.agents import Track
 from hid2.measures.arrays import stack
-from hid2.measures.conflicts import conflicts, pair_course
+from hid2.measures.conflicts import _following_pet, conflicts, pair_course
 from hid2.measures.following import leaders
 from hid2.measures.lane_changes import lane_changes
 from hid2.measures.lane_matching import flatten_lanes
@@ -35,6 +35,9 @@ def test_rear_end_conflict_by_hand() -> None:
     assert (found.first_id, found.second_id, found.kind, found.start_s, found.end_s) == ("a", "b", "rear_end", 4.6, 5.9)
     assert (found.ttc_s, found.time_s) == (pytest.approx(0.1), 5.9)
     assert (found.drac_mps2, found.pet_s) == (pytest.approx(10.0), pytest.approx(0.1))
+    passes = _straight("b", (-10, 2.5), 10.0, 0)  # beside; once 20 m on it turns, and has the place behind it in line
+    turns = replace(passes, heading=np.where(passes.timesteps < 30, 0.0, np.radians(10)))
+    assert _following_pet(stack([_straight("a", (0, 0), 0.0, 0), turns], step_s=0.1), 0, 1, (0, 9)) is None
     assert (found.max_s_mps, found.delta_s_mps, found.angle_deg) == pytest.approx((10.0, 2.0, 0.0))
 
 
