@@ -169,9 +169,7 @@ class Drivers(_Section):
         1.85, "m/s2", "acceleration from standstill; 95 % of recorded ones are below 1.45", ge=0.6, le=2.4
     )
     accel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
-    decel_mean_mps2: float = _param(
-        3.4, "m/s2", "comfortable deceleration of SUMO's EIDM; braking with it is as recorded", ge=0.8, le=4.05
-    )
+    decel_mean_mps2: float = _param(3.4, "m/s2", "comfortable deceleration; EIDM brakes by less", ge=0.8, le=4.05)
     decel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
     min_gap_mean_m: float = _param(3.4, "m", "gap to a standing leader; half of 69: 2.3 to 5.1", ge=1, le=10)
     min_gap_sd_m: float = _param(1.3, "m", "its SD between drivers", ge=0, le=3)

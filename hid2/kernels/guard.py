@@ -12,9 +12,9 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 STRIDE = 2  # steps from one look at the predicted motion to the next
 _PREDICTED_JERK_MPS3 = 4.0  # rate at which predicted braking builds up, m/s3
 _BRAKING_LASTS_S = 1.0  # time for which an inserted vehicle that brakes is predicted to brake on, s
-_HARDEST_MPS2 = 3.0  # hardest braking for an agent that appears ahead, m/s2
+_HARDEST_RATIO = 0.9  # hardest braking for an agent that appears ahead, over the driver's deceleration
 _LINES_WITHIN_M = 60.0  # look-ahead for closed stop lines, m: those farther off matter to no driver yet
-_AMBER_MPS2 = 2.9  # braking above which a closed line is crossed, as at amber, m/s2
+_AMBER_RATIO = 0.85  # braking, over the driver's deceleration, above which a closed line is crossed, as at amber
 _ROLLS_MPS = 0.1  # least speed by which it is told which of two vehicles comes first, m/s: of two that stand the nearer
 SWEPT_STEP_M = 1.0  # spacing of the places along generated vehicles' ways at which what they sweep is known, m
 #: Share of its deceleration at which a driver rolls up to a line; time to take up the speed for that, s. No tunables.
@@ -54,7 +54,7 @@ def _accel_towards_stop(ahead_m: float, speed_mps: float, accel_mps2: float, dec
 
 
 @inner
-def _line_ahead(stop_m: FloatArray, closed: BoolArray, s: float, v: float, step: int) -> int:
+def _line_ahead(stop_m: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float) -> int:
     """Row of the next stop line that is closed at a step and at which the driver can stop, -1 for none.
 
     A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
@@ -65,7 +65,7 @@ def _line_ahead(stop_m: FloatArray, closed: BoolArray, s: float, v: float, step:
             continue
         if ahead > _LINES_WITHIN_M:
             return -1
-        if v * v <= 2.0 * _AMBER_MPS2 * max(ahead, 0.05) or v <= 1.0:
+        if v * v <= 2.0 * (_AMBER_RATIO * decel_mps2) * max(ahead, 0.05) or v <= 1.0:
             return row
     return -1
 
@@ -75,7 +75,7 @@ def stop_ahead(
     stop_m: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float
 ) -> tuple[int, float]:
     """Row of the next closed stop line ahead at which a driver can stop, -1 for none, and the acceleration, m/s2."""
-    row = _line_ahead(stop_m, closed, s, v, step)
+    row = _line_ahead(stop_m, closed, s, v, step, decel_mps2)
     return row, _accel_towards_stop(stop_m[row] - s, v, accel_mps2, decel_mps2) if row >= 0 else 0.0
 
 
@@ -145,7 +145,7 @@ def _first_conflict(
     g_low, g_high, g_cos, _ = swept
     s, v, a_cmd = start
     tau, accel, decel, min_gap = driver
-    margin, dt = PET_MARGIN_M, STRIDE * step_s
+    margin, hardest, dt = PET_MARGIN_M, _HARDEST_RATIO * decel, STRIDE * step_s
     struck, leader, leader_gap, is_bound = False, -1, np.inf, row == 0
     for k in range(last + 1):
         now, ahead_s = min(t + k * STRIDE, low.shape[1] - 1), k * STRIDE * step_s
@@ -187,12 +187,12 @@ def _first_conflict(
             star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
             a_next = min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2))
             # for a leader that it sees SUMO brakes by itself, in time
-            most = max(_HARDEST_MPS2, brakes[-1]) if seen else _HARDEST_MPS2
+            most = max(hardest, brakes[-1]) if seen else hardest
             if a_next < -most and k > 0 and not (seen and start[1] < 0.1):
                 # one that appears ahead, or stands, asks for more than a driver would brake
                 return k * STRIDE, True, struck, leader, leader_gap, is_bound
             a_next = max(a_next, -most)
-        line = _line_ahead(stop_m, closed, s, v, now)
+        line = _line_ahead(stop_m, closed, s, v, now, decel)
         if line >= 0:
             a_next = min(a_next, _accel_towards_stop(stop_m[line] - s, v, accel, decel))
         if row > 0:

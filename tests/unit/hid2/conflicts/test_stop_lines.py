@@ -87,7 +87,7 @@ def test_braking_for_a_line_builds_up_and_eases(speed_mps: float) -> None:
 def test_driver_brakes_neither_far_before_nor_behind_nor_when_it_is_too_late_and_stands_at_the_line() -> None:
     """50 m before it at 5 m/s comfortable braking (1.2 m/s2) would do from 11 m/s: no braking yet.
 
-    10 m before it at 10 m/s: 5 m/s2, more than 1.3 * 2: as at an amber light. At the line it stays until it opens.
+    10 m before it at 10 m/s: 5 m/s2, more than .85 * 3.4: as at an amber light. At the line it stays until it opens.
     """
     found = brake(CROSSING, s=6.75, v=5.0, step=40)
     assert found is None or found[0] > 0.0
