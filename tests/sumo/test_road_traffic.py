@@ -19,7 +19,7 @@ from hid2.agents import BoxSize
 ARTERIAL = Path(__file__).parents[2] / "data" / "public" / "arterial.toml"
 
 RAMPS = "\n[beside]\nfrom_m = 100.0\nto_m = 250.0\non_ramp = true\noff_ramp = true\n"
-DRIVERS = {"desired_mean": 1.0, "min_gap_mean_m": 2.2, "min_gap_sd_m": 0.4}  # as in data/public
+DRIVERS = {"desired_mean": 1.0, "min_gap_mean_m": 2.2, "min_gap_sd_m": 0.4, "decel_mean_mps2": 2.2}  # as in data/public
 HEAD = "length_m = 400.0\nlanes = 2\nwarm_up_s = 30.0\n"
 LIGHT = "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [300.0, 300.0, 300.0]\n"
 
