@@ -160,13 +160,7 @@ def test_many_seeds_and_densities_break_no_rule(
 NOTHING = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.0}
 
 
-@pytest.mark.parametrize(
-    ("kind", "of_ten", "seeds", "share"),
-    [
-        ("lane_change", 10, 1, 0.8), ("overtake", 3, 4, 0.6),
-        pytest.param("overtake", 3, 5, 0.6, marks=pytest.mark.slow),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("kind", "of_ten", "seeds", "share"), [("lane_change", 10, 1, 0.8), ("overtake", 3, 5, 0.6)])
 def test_arterial_shows_complete_lane_changes_and_overtakes(
     data_scenes: dict[str, Path], kind: str, of_ten: int, seeds: int, share: float
 ) -> None:
