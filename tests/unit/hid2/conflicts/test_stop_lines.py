@@ -59,12 +59,12 @@ def test_entrance_is_closed_while_recorded_traffic_flows_across() -> None:
 
 
 def test_driver_brakes_as_the_red_line_asks_for() -> None:
-    """From 26.75 m before it at 10 m/s 10^2 / (2 * 26.75) = 1.87 m/s2 would do, less than 1.3 times the comfortable 2.
+    """From 32.25 m before it at 10 m/s 10^2 / (2 * 32.25) = 1.55 m/s2 would do, less than .85 times the comfortable 2.
 
     As that is more than usual, 1.3 times as much; 40 m before it at 9 m/s, where 1.01 m/s2 would do, .87 times as much.
     """
-    found = brake(CROSSING, s=30.0, v=10.0, step=40)
-    assert found == (pytest.approx(-1.3 * 1.869, abs=1e-3), "signal")
+    found = brake(CROSSING, s=24.5, v=10.0, step=40)
+    assert found == (pytest.approx(-1.3 * 1.5504, abs=1e-3), "signal")
     early = brake(CROSSING, s=16.75, v=9.0, step=40)
     assert early == (pytest.approx(-0.8725 * 1.0125, abs=1e-3), "signal")
 
@@ -87,7 +87,7 @@ def test_braking_for_a_line_builds_up_and_eases(speed_mps: float) -> None:
 def test_driver_brakes_neither_far_before_nor_behind_nor_when_it_is_too_late_and_stands_at_the_line() -> None:
     """50 m before it at 5 m/s comfortable braking (1.2 m/s2) would do from 11 m/s: no braking yet.
 
-    10 m before it at 10 m/s: 5 m/s2, more than .85 * 3.4: as at an amber light. At the line it stays until it opens.
+    10 m before it at 10 m/s: 5 m/s2, more than .85 * 2: as at an amber light. At the line it stays until it opens.
     """
     found = brake(CROSSING, s=6.75, v=5.0, step=40)
     assert found is None or found[0] > 0.0
