@@ -337,7 +337,7 @@ def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
         if not path.is_file():
             wrong = "a baseline is scored alone" if text in BASELINES else "no such file"
             raise ConfigError(f"--predictions {text}: {wrong}; expected FILE or NAME=FILE to compare")
-        if any(path.samefile(other) for other in files):
+        if any(path.samefile(other) for other in itertools.chain(*models.values())):
             raise ConfigError(f"--predictions {text}: given twice; give each file once")
         files.append(path)
     return models

@@ -74,7 +74,7 @@ def test_traffic_drives_on_a_real_map(real_scenes: list[Path], tmp_path: Path) -
 @pytest.mark.slow
 def test_traffic_drives_on_fourteen_real_maps(fourteen_scenes: list[Path], tmp_path: Path) -> None:
     """A teleport is two warnings: five from wrong lanes, on three maps; one map jams."""
-    most = {scene: 1.0 if scene.name.startswith("7fab2350") else 0.02 for scene in fourteen_scenes}
+    most = {scene: 0.5 if scene.name.startswith("7fab2350") else 0.02 for scene in fourteen_scenes}
     print({scene.name[:8]: check(scene, tmp_path, most[scene]) for scene in fourteen_scenes})
 
 

@@ -320,4 +320,4 @@ def test_files_are_compared_with_the_first(data_root, tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         predictions.parse_models(["a=nowhere.parquet"])
     with pytest.raises(ConfigError, match="given twice"):
-        predictions.parse_models([f"a={first}", f"a={tmp_path}/few/../cv.parquet"])
+        predictions.parse_models([str(first), f"{tmp_path}/few/../cv.parquet"])
