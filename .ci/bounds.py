@@ -26,13 +26,13 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (38_469, 28_500),
-    "statements": (24_397, 15_000),
-    "lines of hid2": (15_946, 8_500),
+    "lines": (38_463, 28_500),
+    "statements": (24_395, 15_000),
+    "lines of hid2": (15_943, 8_500),
     "lines of hid2/insertion": (4_446, 2_200),
     "lines of hid2/kernels": (2_343, 1_900),
-    "lines of netconvert": (2_132, 1_500),
-    "lines of bridge/cli": (1_645, 1_000),
+    "lines of netconvert": (2_131, 1_500),
+    "lines of bridge/cli": (1_643, 1_000),
     "lines of bridge/recordings": (3_141, 2_500),
     "lines of bridge/sumo": (1_904, 1_700),
     "lines of bridge/batch": (2_034, 1_500),

@@ -41,9 +41,8 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
 
     points: (N, 2) m, of a length above 0. Returns (M, 2) m, M >= 2.
     """
-    s = arc_length(points)
-    at = np.linspace(0.0, s[-1], max(1, int(np.ceil(s[-1] / step_m - 1e-9))) + 1)
-    return np.stack([np.interp(at, s, column) for column in points.T], axis=-1)
+    line = Polyline(points)
+    return line.point(np.linspace(0.0, line.length_m, max(1, int(np.ceil(line.length_m / step_m - 1e-9))) + 1))
 
 
 def differences(values: FloatArray, step: float) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from bridge.cli import options
 from bridge.cli.generation import notes_of
@@ -302,19 +302,16 @@ def _score(out: Path, scored: Scored, report: Path, activity: Activity, *, jobs:
     if ",".join(map(str, bounds)) != given:
         raise ConfigError(f"--bands {bands!r}: expected numbers of agents, each larger than the last, joined by commas")
     activity.doing("scoring forecasts")
+    how: dict[str, Any] = {"bounds": bounds, "jobs": jobs, "on_scene": activity.show}
     table: tuple[Sequence[str], Sequence[tuple[object, ...]]]
     if len(files) > 1:
         models = predictions.parse_models(files)
-        found, left_out = predictions.compare_predictions(
-            out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show
-        )
+        found, left_out = predictions.compare_predictions(out, models, report, **how)
         table = (found[0]._fields, found) if as_json else (predictions.HEAD, predictions.rows_of(found))
         title, page = f"{len(models)} models", "comparison.html"
     else:
-        file = files[0] if Path(files[0]).is_file() else files[0].partition("=")[2] or files[0]  # NAME=FILE
-        scores, left_out = predictions.score_predictions(
-            out, predictions=file, report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
-        )
+        file = files[0] if files[0] in predictions.BASELINES else predictions.parse_models(files).popitem()[1][0]
+        scores, left_out = predictions.score_predictions(out, predictions=file, report_dir=report, **how)
         rows = predictions.band_rows(scores, bounds)
         table = predictions.TABLE_HEAD, rows if as_json else predictions.shown(rows)
         title, page = f"{len(scores)} scores", "predictions.html"

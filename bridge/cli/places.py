@@ -116,7 +116,8 @@ def _instead_of_file(path: Path) -> str:
 
 
 def _is_scene(folder: Path) -> bool:
-    return any(reader.is_folder and reader.sniff(folder, sources.names_in(folder)) for reader in sources.READERS)
+    names = sources.names_in(folder)
+    return any(reader.is_folder and reader.sniff(folder, names) for reader in sources.READERS)
 
 
 def _recorded(folder: Path) -> Iterator[Path]:

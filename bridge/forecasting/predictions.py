@@ -336,7 +336,7 @@ def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
         path, files = Path(place), models.setdefault(name if own or names.count(name) == 1 else text, [])
         if not path.is_file():
             wrong = "a baseline is scored alone" if text in BASELINES else "no such file"
-            raise ConfigError(f"--predictions {text}: {wrong}; expected FILE or NAME=FILE to compare")
+            raise ConfigError(f"{path}: {wrong}, expected a forecast file or, alone, one of {', '.join(BASELINES)}")
         if any(path.samefile(other) for other in itertools.chain(*models.values())):
             raise ConfigError(f"--predictions {text}: given twice; give each file once")
         files.append(path)

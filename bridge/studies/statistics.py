@@ -157,7 +157,7 @@ def dose_response(
 
 
 def _slopes(values: Sequence[float], outcomes: FloatArray) -> FloatArray:
-    """Slope (N,) of outcomes (N, K) over the K values, least squares, of those that are known; NaN below two."""
+    """Slope (N,) of outcomes (N, K) over the K values, least squares, of those known; NaN below two, 0 if all equal."""
     y = np.ma.masked_invalid(outcomes)
     x = np.ma.array(np.broadcast_to(np.array(values, dtype=np.float64), outcomes.shape), mask=np.ma.getmaskarray(y))
     away = x - x.mean(axis=1)[:, None]

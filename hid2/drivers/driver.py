@@ -10,7 +10,7 @@ from hid2.agents import FloatArray
 from hid2.kernels.trajectory import trailing
 from hid2.params import Config, Drivers
 
-# No tunables, to OFFSET_MAX_M: shapes of distributions.
+# No tunables from here to OFFSET_MAX_M: shapes of distributions.
 TRUNCATED_AT = 2.0  # SD from the mean at which draws are cut off
 _EASED_S = 0.8  # time constant that eases the wandering of the speed, s, as feet do not jump
 _WANDERS_TO = 0.8  # least share of the desired speed as it wanders, as none crawls without a cause

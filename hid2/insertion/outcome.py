@@ -63,7 +63,7 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVe
 
 
 def takes_gap(scene: Scene, kept: ExportedVehicle, inserted: Traffic) -> bool:
-    """Whether others (A, T + E) are in a gap that a vehicle kept before took, nearer than its rule allows."""
+    """Whether others (A, T + E) are in a gap that a vehicle kept before took, nearer than the rule allows."""
     for shift in kept.driven.shifts:
         step = shift.requested_step
         if not inserted.present[:, step].any():

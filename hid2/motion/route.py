@@ -266,10 +266,7 @@ def is_simple(graph: LaneGraph, route: Route) -> bool:
 
 def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
     """Lanes that follow a lane, or come before it: those preferred, then those that turn least."""
-    found = list(onward)
-    if len(found) > 1:  # of most lanes there is one
-        found.sort(key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n))
-    return tuple(found)
+    return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n)))
 
 
 def routes_from(
